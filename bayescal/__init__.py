@@ -24,7 +24,7 @@ and `bayescal --help` are fast.
 # | degrees of freedom of the noise | `_inference/least_squares.py` `LeastSquares` |
 # | evidence, marginal likelihood, Laplace approximation | `_inference/laplace.py` `find_mode` |
 # | hold-out test | `_calibration/predict.py` `HoldoutTest` |
-# | importance weight, effective sample size | `_core/importance_weights.py` `smoothed`, `effective_size` |
+# | importance weight, effective sample size | `_core/importance_weights.py` `smooth` |
 # | leave-one-out, leave-one-group-out | `_calibration/compare.py` `compare`, `_calibration/leave_group_out.py` |
 # | misspecification, inadequacy | `_calibration/check.py` `check`, `_search/structure_average.py` `add_inadequacy` |
 # | outlier, spike | `_data/set_aside.py` `set_aside` |

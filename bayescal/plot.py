@@ -1,4 +1,4 @@
-"""Plots, as functions that return Matplotlib figures: `bc.plot.residuals(calibration)`, ….
+"""Functions that plot results and return Matplotlib figures: `bc.plot.residuals(calibration)`, ….
 
 The palette is distinguishable with colour vision deficiency (Okabe and Ito); every axis has a unit.
 """

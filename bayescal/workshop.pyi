@@ -53,48 +53,48 @@ from ._cli.request import open_search as open_search
 
 # modules whose names are a vocabulary: when work ends, colours
 from ._core import deadline as deadline
+from ._core.atomic_file import compute_sha256 as compute_sha256
+from ._core.atomic_file import create_result_folder as create_result_folder
 
 # files: written whole or not at all; folders of results
-from ._core.atomic_file import replacing_for_user as replacing_for_user
-from ._core.atomic_file import result_folder as result_folder
-from ._core.atomic_file import sha256_of as sha256_of
+from ._core.atomic_file import replace_user_file as replace_user_file
 from ._core.atomic_file import write_text as write_text
-
-# text for people and for programs: numbers, names, tables
-from ._core.formatting import folded as folded
+from ._core.formatting import format_value as format_value
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
-from ._core.formatting import with_error as with_error
+
+# text for people and for programs: numbers, names, tables
+from ._core.formatting import wrap as wrap
 from ._core.inverse import iterate_newton as iterate_newton
-from ._core.jit import compiled as compiled
+from ._core.jit import compile_lazily as compile_lazily
 
 # JSON, and the type that it must have
 from ._core.json_data import as_json as as_json
-from ._core.json_data import parsed_json as parsed_json
+from ._core.json_data import parse_json as parse_json
 from ._core.json_data import read_json as read_json
 from ._core.json_data import read_toml as read_toml
 from ._core.json_data import write_json as write_json
 from ._core.lazy_jax import ignore_local_configuration as ignore_local_configuration
 from ._core.parallel import run_on_one_thread as run_on_one_thread
+from ._core.progress import notify as notify
 from ._core.progress import print_notes as print_notes
-from ._core.progress import stage as stage
-from ._core.progress import tell as tell
-from ._core.quoting import ascii_text as ascii_text
-from ._core.quoting import c_comment as c_comment
-from ._core.quoting import html_text as html_text
-from ._core.quoting import one_line as one_line
-from ._core.quoting import python_words as python_words
-from ._core.quoting import template as template
+from ._core.progress import track as track
+from ._core.quoting import escape_html as escape_html
+from ._core.quoting import load_template as load_template
+from ._core.quoting import quote_c_comment as quote_c_comment
+from ._core.quoting import quote_python_comment as quote_python_comment
+from ._core.quoting import to_ascii as to_ascii
+from ._core.quoting import to_printable as to_printable
 from ._core.renamed import renamed as renamed
 from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
 from ._core.result_table import TableColumn as TableColumn
-from ._core.result_table import plain_table as plain_table
+from ._core.result_table import make_table as make_table
 
 # settings of a process
-from ._core.settings import changed_settings as changed_settings
-from ._core.settings import seed_of as seed_of
+from ._core.settings import list_changed_settings as list_changed_settings
 from ._core.settings import settings as settings
+from ._core.settings import to_seed as to_seed
 
 # files of readings
 from ._data.column import UNCERTAINTY as UNCERTAINTY

@@ -20,7 +20,7 @@ import hypothesis
 import pytest
 
 import bayescal  # noqa: F401  before JAX
-from bayescal._core.lazy_jax import cache_folder, configure_jax, spare_memory_maps
+from bayescal._core.lazy_jax import configure_jax, find_cache_folder, free_memory_maps
 from tests.support import references, tiers
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Compiled programs are kept between test runs, apart from the user's own.
 if "BAYESCAL_CACHE" not in os.environ:
-    user = cache_folder()
+    user = find_cache_folder()
     os.environ["BAYESCAL_CACHE"] = str(user / "tests") if user else ""
 configure_jax()
 
@@ -84,7 +84,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def compiled_programs_go() -> Iterator[None]:
     """Compiled programs are dropped before a process holds more memory maps than it may."""
     yield
-    spare_memory_maps()
+    free_memory_maps()
 
 
 @pytest.fixture

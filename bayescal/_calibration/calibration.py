@@ -16,7 +16,7 @@ from bayescal._calibration.storage import save
 from bayescal._calibration.summary import list_unknowns, null_directions, summary
 from bayescal._core.atomic_file import encode_name
 from bayescal._core.flag import Flag
-from bayescal._core.formatting import folded
+from bayescal._core.formatting import wrap
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._inference.sampling import draw_prior
 from bayescal._model.model import format_model
@@ -66,14 +66,14 @@ class Calibration(Printed, Fitted):
             *(f"conflict: {conflict}" for conflict in self.conflicts),
             *(f"not reliable: {conflict}" for conflict in other_failures),
         ]
-        return "\n".join(folded(line, "") for line in lines)
+        return "\n".join(wrap(line, "") for line in lines)
 
     def _format_summary(self) -> str:
         status = "converged" if self.verdict.ok else "NOT converged"
         status = "NOT reliable" if self.verdict.against else status
         return f"{status}, {len(self.readings)} readings of {self.readings.file}, {format_model(self.model)}"
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return one row per unknown, in its unit; `low` and `high` bound the 95 % credible interval."""
         rows = [row for part in summary(self) for row in part]
         return {

@@ -21,7 +21,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._core.formatting import folded, number
+from bayescal._core.formatting import number, wrap
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
@@ -127,7 +127,7 @@ class Check(Printed):
             text += f"; most against {e.covariate}, log Bayes factor {e.log_bayes_factor:z.1f}"
         return text
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return one row per covariate or group; means in the output's unit, ranges in the covariate's."""
         return tabulate_check(self.to_json_data()).to_columns()
 
@@ -153,7 +153,7 @@ def tabulate_check(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("group", lambda r: r["worst"]["group"] or "", None),
         TableColumn("unit", lambda r: r["worst"]["unit"], None),
     )
-    return ResultTable(columns, rows, fold=25)
+    return ResultTable(columns, rows, width=25)
 
 
 def format_check(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
@@ -174,7 +174,7 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
     strong = settings().strong_evidence
     names = ", ".join(e.covariate for e in check.entries if e.log_bayes_factor > strong) or "none"
     number_tested = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
-    lines.append(folded(f"log Bayes factor (natural log) above {strong:g}{number_tested}: {names}"))
+    lines.append(wrap(f"log Bayes factor (natural log) above {strong:g}{number_tested}: {names}"))
     max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.covariates)} together: interaction not explained by additive terms (log Bayes factor "

@@ -18,8 +18,8 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import folded, number
-from bayescal._core.importance_weights import stacking_weights
+from bayescal._core.formatting import number, wrap
+from bayescal._core.importance_weights import stack_models
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
@@ -90,12 +90,12 @@ class Comparison(Printed):
         count = f" ({self.groups} groups)" if self.chosen_by == GROUP_SCORE else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
         heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {NOTE}"
-        return [table, *(folded(line, "") for line in (heading, *self.warnings))]
+        return [table, *(wrap(line, "") for line in (heading, *self.warnings))]
 
     def _format_summary(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return one row per model, with the fields of `ComparisonRow`; errors in the output's unit."""
         return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(ComparisonRow)}
 
@@ -133,7 +133,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             )
     loo = {name: compute_loo(c) for name, c in calibrations.items()}
     best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
-    weights = stacking_weights(np.stack([densities for densities, _ in loo.values()], axis=1))
+    weights = stack_models(np.stack([densities for densities, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
     fold_list = [f for f in folds.values() if f is not None]
     fold, is_grouped = next(iter(fold_list), None), len(fold_list) == len(folds)

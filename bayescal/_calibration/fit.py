@@ -14,8 +14,8 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.storage import load_calibration
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
-from bayescal._core.lazy_jax import jax, jnp, spare_memory_maps
-from bayescal._core.settings import seed_of
+from bayescal._core.lazy_jax import free_memory_maps, jax, jnp
+from bayescal._core.settings import to_seed
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import NO_START
 from bayescal._inference.linear_model import fill_amplitudes
@@ -75,8 +75,8 @@ def fit(
             "A model is an instrument with effects, such as mems_gyro.INSTRUMENT.baseline(); this is a "
             f"{type(model).__name__}"
         )
-    spare_memory_maps()
-    seed = seed_of(seed)
+    free_memory_maps()
+    seed = to_seed(seed)
     method = Marginal() if method is None else method
     model.require(readings)
     model = model.with_nuisances(readings)
@@ -95,7 +95,7 @@ def fit(
     problem = Problem(layout, record)
     _refuse_lost_digits(problem, readings)
 
-    with deadline.until(time_limit):
+    with deadline.limit(time_limit):
         outcome = method.run(problem, seed, start)
     calibration = Calibration(
         model=model,

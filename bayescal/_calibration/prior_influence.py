@@ -17,7 +17,7 @@ from jaxtyping import Float
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.judgement import FREE_SD_FACTOR
 from bayescal._calibration.summary import CONCERNED_SHARE, WEAK_INFORMATION
-from bayescal._core.formatting import number, with_error
+from bayescal._core.formatting import format_value, number
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Coefficient
 from bayescal._model.parameters import Unknown
@@ -161,7 +161,7 @@ def find_prior_dominance(
 
 def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "") -> str:
     """Format an unknown's name, mean ± standard deviation and unit."""
-    value = f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(u.unit)}".rstrip()
+    value = f"{format_value(float(draws.mean()), float(draws.std()))} {unit_label(u.unit)}".rstrip()
     return f"{u.name} ({value}{suffix})"
 
 

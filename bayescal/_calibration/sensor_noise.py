@@ -32,11 +32,11 @@ from scipy.special import ndtri, softmax
 from bayescal._calibration.claim import Claim, limit
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import folded, number, probability
+from bayescal._core.formatting import number, probability, wrap
 from bayescal._core.importance_weights import resample
 from bayescal._core.parallel import run_on_one_thread
-from bayescal._core.result_table import Printed, ResultTable, plain_table
-from bayescal._core.settings import seed_of, settings
+from bayescal._core.result_table import Printed, ResultTable, make_table
+from bayescal._core.settings import settings, to_seed
 from bayescal._data import allan_deviation as allan
 from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, EvenRuns
 from bayescal._data.measurements import Measurements
@@ -168,7 +168,7 @@ class SensorNoise(Printed):
         ]
         texts = [f"Not to be used as they are. {c}" for c in self.claims if c.severity != "note"]
         heading = "term" + " of a law that does not fit" * bool(texts)
-        terms = plain_table([heading, "value", "95 % interval", "SI"], rows, fold=40)
+        terms = make_table([heading, "value", "95 % interval", "SI"], rows, width=40)
         prefix = "Best noise law, which does not fit" if texts else "Noise law (probability)"
         remarks = [*texts, f"{prefix}: {', '.join(sum_texts[:MAX_PRINTED_SUMS])}."]
         remarks += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
@@ -179,14 +179,14 @@ class SensorNoise(Printed):
             [number(t), number(d), number(e), f"{number(a)} to {number(b)}"]
             for t, d, e, a, b in zip(*columns, strict=True)
         ]
-        lines = [line for note in remarks for line in ("", folded(note, ""))]
-        return [terms, *lines, "", plain_table(header, curve, left=0)]
+        lines = [line for note in remarks for line in ("", wrap(note, ""))]
+        return [terms, *lines, "", make_table(header, curve, left=0)]
 
     def _format_summary(self) -> str:
         figures = (f"{f.symbol} {f.row()[1] or f.row()[2]}" for f in self.figures)
         return f"{self.law}; {', '.join(figures)}"
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         names = ("name", "symbol", "value", "low", "high", "unit")
         return {name: [getattr(f, name) for f in self.figures] for name in names}
 
@@ -243,8 +243,8 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
                 f"{readings.file}: each {group} has its own noise ({', '.join(levels)}): select the readings of one, "
                 f"such as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
-    with deadline.until(time_limit):
-        fits = _evaluate_sums(readings, seed := seed_of(seed))
+    with deadline.limit(time_limit):
+        fits = _evaluate_sums(readings, seed := to_seed(seed))
     readings, runs, unit = fits.readings, fits.runs, readings.unit("output") or ""
     measured = allan.allan_deviation(readings, fits.residuals, runs)
     draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in fits.noises])
@@ -398,14 +398,14 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         fits: dict[Terms, GaussianFit] = {base: _fit_sum(channel, base, {})}
         try:
             for terms in _enumerate_sums(fits, base, optional, required):
-                time_limit.ask()
+                time_limit.raise_if_over()
                 fits[terms] = _fit_sum(channel, terms, fits)
         except deadline.TimeIsUp:
-            claims.append(Claim("noise.ended", why=time_limit.why))
+            claims.append(Claim("noise.ended", why=time_limit.reason))
         imputations.append(_sample_sums(channel, fits, seed + k))
         best = imputations[-1][0][0]
         model, parameters = best.model, {n: d[:1, None] for n, d in best.draws.items()}
-        if time_limit.over:
+        if time_limit.is_over:
             break
     residuals = columns[:, -1] - columns[:, :-1] @ channel.spectrum.regress(model, parameters)
     # The mixture over imputations of lost readings.

@@ -22,8 +22,8 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._core import atomic_file
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.flag import Flag
-from bayescal._core.json_data import parsed_json
-from bayescal._core.netcdf import Group, Variable, netcdf_bytes, netcdf_groups
+from bayescal._core.json_data import parse_json
+from bayescal._core.netcdf import Group, Variable, decode_netcdf, encode_netcdf
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
@@ -77,8 +77,8 @@ def save(calibration: Fitted, path: Path) -> Path:
     metadata = json.dumps({"schema": SCHEMA, **describe(calibration)})
     ids = {"bayescal": metadata, "bayescal_identity": identity(calibration)}
     title = format_model(calibration.model)
-    content = netcdf_bytes(groups, Conventions="CF-1.11", title=title, **ids)
-    with atomic_file.replacing_for_user(path) as partial:
+    content = encode_netcdf(groups, Conventions="CF-1.11", title=title, **ids)
+    with atomic_file.replace_user_file(path) as partial:
         atomic_file.write_sealed(content, partial)
     return path
 
@@ -107,12 +107,12 @@ def _read_netcdf(
 
     with h5py.File(content) as hdf5:
         refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
-        metadata = parsed_json(hdf5.attrs.get("bayescal", "{}"))
+        metadata = parse_json(hdf5.attrs.get("bayescal", "{}"))
     if (schema := metadata.get("schema")) != SCHEMA:
         raise InputError(
             f"{path.name} is not a calibration of this version: its schema is {schema!r}, not {SCHEMA!r}"
         )
-    groups, attributes = netcdf_groups(content, GROUPS)
+    groups, attributes = decode_netcdf(content, GROUPS)
     readings = _restore_readings(groups, metadata)
     model = restore_model(path, metadata, readings, effects, instruments)
     model.require(readings)

@@ -12,8 +12,8 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.confounding import is_single_coefficient
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
-from bayescal._core.formatting import folded, interval, number, probability, with_error
-from bayescal._core.result_table import ResultTable, plain_table
+from bayescal._core.formatting import format_interval, format_value, number, probability, wrap
+from bayescal._core.result_table import ResultTable, make_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import hold_flag_name, list_covariates
@@ -38,7 +38,7 @@ def list_unknowns(
     """Tabulate unknowns with standard uncertainties and 95 % intervals; list fixed values and constants."""
     rows = format_rows(calibration, effects)
     head = "unknown", "mean ± standard uncertainty", "unit", "95 % credible interval", "contraction"
-    table = plain_table(head, rows.values()) if rows else "every unknown is fixed"
+    table = make_table(head, rows.values()) if rows else "every unknown is fixed"
     model, lines = calibration.model, list[str]()
     if fixed_text := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
         lines.append(f"fixed: {fixed_text}")
@@ -65,7 +65,7 @@ def list_unknowns(
     pairs = ((n, p) for n, p in calibration.inclusion.items() if n in names and p < 1)
     if text := ", ".join(f"{name} {probability(p)}" for name, p in pairs):
         lines.append(f"* conditional on the effect being present; weight in the average: {text}")
-    return [table, *(folded(line, "") for line in lines)]
+    return [table, *(wrap(line, "") for line in lines)]
 
 
 def is_skewed(mean: float, sd: float, low: float, high: float) -> bool:
@@ -97,10 +97,10 @@ def format_rows(
             rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
             mean, sd, (low, high) = g["given"].values()
-            value = SKEWED if is_skewed(mean, sd, low, high) else with_error(mean, sd)
+            value = SKEWED if is_skewed(mean, sd, low, high) else format_value(mean, sd)
             is_known = g["contraction"] is not None and mean == g["mean"]  # not that of a mixture
             contraction = f"{g['contraction']:.3f}" if is_known else "–"
-            rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
+            rows[name] = [name, value, unit, format_interval(low, high, mean, sd), contraction]
         rows[key or name][0] += " *" * (g["probability"] < 1)
     return rows
 
@@ -237,11 +237,11 @@ def find_null_vectors(
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
     """Return exact, weak, and group-deviation null directions (p,), in prior standard deviations."""
     layout = linear.problem.layout
-    single = is_single_coefficient(layout)
+    single, share = is_single_coefficient(layout), limit("direction.none", "share")
     is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
-    exact = null_space.null_rows(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
-    weak = null_space.weak_rows(whitened, exact, WEAK_INFORMATION, limit("direction.none", "share"))
+    exact = null_space.find_null_rows(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
+    weak = null_space.find_weak_rows(whitened, exact, WEAK_INFORMATION, share)
     directions_by_kind: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):
         for direction in directions:

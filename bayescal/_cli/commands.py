@@ -46,11 +46,11 @@ from bayescal._cli.options import (
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
 from bayescal._core.annex import load_entries, load_entry
-from bayescal._core.atomic_file import result_folder, write_text
+from bayescal._core.atomic_file import create_result_folder, write_text
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import folded
+from bayescal._core.formatting import wrap
 from bayescal._core.json_data import as_json
-from bayescal._core.progress import counted, print_notes
+from bayescal._core.progress import iterate_with_progress, print_notes
 from bayescal._core.settings import Settings, use_settings
 from bayescal._report.whole_folder import (
     AVERAGED,
@@ -187,7 +187,7 @@ class DemoCommand(AsJson, Command):
 
         gyro, files = "mems_gyro", (self.out / "readings.csv", self.out / "holdout.csv")
         hidden = ["bias.thermal_lag=0.05"]
-        with result_folder(self.out):
+        with create_result_folder(self.out):
             for seed, file in enumerate(files, self.seed + 1):
                 simulation = SimulateCommand(instrument=gyro, out=file, effect=hidden, seed=seed)
                 print_notes([simulation.answer().content])
@@ -200,7 +200,7 @@ class DemoCommand(AsJson, Command):
         paths = [self.out / n for n in (CALIBRATION, AVERAGED) if (self.out / n).is_file()]
         rows = format_rows(bc.load(paths[-1]), bc.load(paths[0]).model.names).items()
         found = ", ".join(f"{n} {row[1]} {row[2]}" for n, row in rows if "[" not in n)
-        hints = [folded(SIMULATED), folded(f"found: {found}"), f"picture: {self.out / 'loop.png'}"]
+        hints = [wrap(SIMULATED), wrap(f"found: {found}"), f"picture: {self.out / 'loop.png'}"]
         written = "\n".join([calibrated.written, *hints, f"with your own readings: {line}"])
         return replace(calibrated, written=written)
 
@@ -227,7 +227,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
                 "include: give another folder, or remove this one"
             )
         search_settings = Settings(finer_noise=not self.simple_noise)
-        with use_settings(search_settings), result_folder(self.out) as folder:
+        with use_settings(search_settings), create_result_folder(self.out) as folder:
             models, readings, holdout = request.open_search(names, self)
             name, first_readings = next(iter(readings.items()))
             settings = {
@@ -275,7 +275,7 @@ class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
     out: Path | None = Shared.folder
 
     def answer(self) -> Answer:
-        with result_folder(self.out) as folder:
+        with create_result_folder(self.out) as folder:
             _, model, readings = request.open_request(self)
             if self.noise is not None:
                 model = model.with_noise(request.find_noise_law(self.noise, model, readings))
@@ -334,8 +334,8 @@ class DiscoverCommand(DefinitionOptions, AsJson, Command):
 
         check, limit = bc.check(calibration), deadline.current()
         text, data = str(discovery), missing_data(discovery, 0, check)
-        if self.next_experiment and limit.over:
-            text += f"\n\nnext experiment: omitted ({limit.why})"
+        if self.next_experiment and limit.is_over:
+            text += f"\n\nnext experiment: omitted ({limit.reason})"
         elif self.next_experiment:
             rivals = discovery.rivals
             ranking = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
@@ -377,8 +377,8 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
         kwargs = {"seed": self.seed, "strict": False}
         kwargs["reference"] = parse_numbers(self.reference, "--reference")
         method, fits = request.create_method(self.method), {}
-        for i, name in enumerate(counted([*models], "structures")):
-            with deadline.sooner(1 / (len(models) - i)):
+        for i, name in enumerate(iterate_with_progress([*models], "structures")):
+            with deadline.shorten(1 / (len(models) - i)):
                 fits[name] = bc.fit(models[name], readings, method, **kwargs)
         comparison, verdicts = bc.compare(fits), ((name, c.verdict) for name, c in fits.items())
         reasons = "; ".join(f"{n}: {' '.join(v.reasons)}" for n, v in verdicts if not v.ok)
@@ -436,12 +436,12 @@ class NoiseCommand(ReadRequest, AsJson, Command):
         if self.channels is None:  # named after the output column of the file
             record = readings[""]
             readings = {next((s.output for s in record.sources if s.output), "output"): record}
-        with result_folder(self.out) as folder:
+        with create_result_folder(self.out) as folder:
             print_notes(request.flags_of(readings))
             devices, written = request.split_records(readings), list[Path]()
             results = dict[str, Any]()
-            for i, name in enumerate(counted([*devices], "records")):
-                with deadline.sooner(1 / (len(devices) - i)):
+            for i, name in enumerate(iterate_with_progress([*devices], "records")):
+                with deadline.shorten(1 / (len(devices) - i)):
                     results[name] = bc.noise(devices[name], seed=self.seed)
 
             def draw(folder: Path) -> None:

@@ -26,7 +26,7 @@ from bayescal._cli.options import Command
 from bayescal._core.annex import load_entries
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
 from bayescal._core.lazy_jax import ignore_local_configuration
-from bayescal._core.quoting import one_line
+from bayescal._core.quoting import to_printable
 from bayescal._search.own_files import format_error, own_file_line
 
 # New objects between two garbage collections; collecting a million takes a quarter of a second. With Python's default
@@ -127,7 +127,7 @@ def _report_failure(message: str, status: int, is_list: bool = False) -> int:
     """Print a message on stderr, on one line unless it `is_list`, and return the exit status."""
     with contextlib.suppress(OSError):  # stderr may be closed
         text = message if is_list else " ".join(message.split())
-        text = "\n".join(map(one_line, text.split("\n")))  # escapes control characters
+        text = "\n".join(map(to_printable, text.split("\n")))  # escapes control characters
         print(f"bayescal: {text}", file=sys.stderr)
     return status
 

@@ -18,8 +18,8 @@ from typer.models import ParameterInfo
 
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.json_data import as_json, json_text
-from bayescal._core.progress import INTERVAL_SECONDS, print_notes, stage
+from bayescal._core.json_data import as_json, format_json
+from bayescal._core.progress import INTERVAL_SECONDS, print_notes, track
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIFEST
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
@@ -138,7 +138,7 @@ class Answer:
             elif hasattr(content, "to_json_data"):
                 content = content.to_json_data()
         if isinstance(content, dict | list):
-            content = json_text(as_json(content)).rstrip("\n")
+            content = format_json(as_json(content)).rstrip("\n")
         if content is not None:
             print(content)
         if self.written and not json_:
@@ -177,7 +177,7 @@ class Command(Options):
     def run(self) -> int:
         """Run the command and print its answer; return the exit status."""
         limit = getattr(self, "time_limit", None)
-        with stage(self.command_name(), INTERVAL_SECONDS), deadline.until(limit):
+        with track(self.command_name(), INTERVAL_SECONDS), deadline.limit(limit):
             answer = self.answer()
             return int(answer is not None and not answer.print(self.json_))
 

@@ -12,8 +12,8 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import list_directions, list_unknowns, null_directions, summary
 from bayescal._core import progress
-from bayescal._core.formatting import folded, number, probability
-from bayescal._core.result_table import plain_table
+from bayescal._core.formatting import number, probability, wrap
+from bayescal._core.result_table import make_table
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -34,7 +34,7 @@ def format_instruments(instruments: Mapping[str, Instrument]) -> tuple[str, dict
     items = instruments.items()
     data = {n: {**_describe(i), "columns": [c.name for c in i.columns]} for n, i in items}
     rows = [[name, unit_label(about["unit"]), about["title"]] for name, about in data.items()]
-    return str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40)), data
+    return str(make_table(["instrument", "output", "measures"], rows, left=2, width=40)), data
 
 
 def _describe(instrument: Instrument) -> dict[str, Any]:
@@ -57,8 +57,8 @@ def format_instrument(instrument: Instrument) -> tuple[str, dict[str, Any]]:
         f"candidate effects: {', '.join(candidates)}",
         f"description of the effects: bayescal effects --instrument {instrument.name}",
     ]
-    title, *notes = map(folded, lines)
-    table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
+    title, *notes = map(wrap, lines)
+    table = make_table(["column", "unit", "", "meaning"], rows, left=4, width=60)
     data = {"columns": columns, "baseline": baseline, "candidates": candidates}
     return "\n\n".join([title, str(table), "\n".join(notes)]), _describe(instrument) | data
 
@@ -79,8 +79,8 @@ def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
             by_source.setdefault(e.source, []).append(e.name)
         if rows:
             heading = [kind, "plausible size", "needs", "equation"]
-            parts.append(str(plain_table(heading, rows, left=3, fold=42)))
-    sources = (folded(f"{source}: {', '.join(names)}") for source, names in by_source.items())
+            parts.append(str(make_table(heading, rows, left=3, width=42)))
+    sources = (wrap(f"{source}: {', '.join(names)}") for source, names in by_source.items())
     return "\n\n".join([*parts, "\n".join([SOURCES, *sources])]), data
 
 
@@ -127,7 +127,7 @@ class ConsoleReporter:
             if state != self._printed.get(name) or progress.silence() >= progress.INTERVAL_SECONDS:
                 channel_number = self.channels.index(name) + 1 if name else 0
                 prefix = f"{name}, channel {channel_number} of {len(self.channels)}: " * bool(name)
-                progress.tell(prefix + line)
+                progress.notify(prefix + line)
                 self._printed[name] = state
 
 
@@ -135,7 +135,7 @@ def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> A
     """Format the output of `calibrate` as data for JSON, or as text."""
     if isinstance(search, SearchPath):
         return result(search) if as_data else format_loop(search, **how)
-    texts = (folded(f"{name}: {path.in_short}") for name, path in search.search_paths.items())
+    texts = (wrap(f"{name}: {path.in_short}") for name, path in search.search_paths.items())
     return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
@@ -153,16 +153,16 @@ def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False
     lines = [f"{c.subjects[0]} and {' + '.join(c.numbers['beside'])}" for c in claims]
     pairs = (c for c in null_directions(final.calibration) if c.code == "direction.pair")
     if lines := [*(c.numbers["combination"] for c in pairs), *lines]:
-        parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
+        parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(wrap, lines)))
     for i, step in enumerate(path.steps if verbose else ()):
         heading = f"EFFECTS MISSING FROM STEP {i} ({step.title})"
         parts.append(_section(heading, step.discovery or _explain_not_tested(step)))
     notes = [] if verbose else _format_missing(path)
-    notes += [folded(f"end: {path.ending}")] if path.ending else []
+    notes += [wrap(f"end: {path.ending}")] if path.ending else []
     parts.append(_section("THE ERROR, STEP BY STEP", path, *notes))
-    notes = [format_average(path, verbose), folded(f"verdict: {path.gate}")]
+    notes = [format_average(path, verbose), wrap(f"verdict: {path.gate}")]
     parts.append(_section("COEFFICIENTS", coefficients_text(path, verbose), *filter(None, notes)))
-    parts.append(_section("IN SHORT", folded(path.in_short, "")))
+    parts.append(_section("IN SHORT", wrap(path.in_short, "")))
     return "\n\n".join(parts).removeprefix("\n")
 
 
@@ -180,7 +180,7 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
     shares = [(" + ".join(s.effects) or "nothing added", s.probability) for s in path.shares]
     if verbose:
         rows = [(name, probability(p)) for name, p in shares]
-        return _section("STRUCTURES", plain_table(["effects added", "probability"], rows, fold=60))
+        return _section("STRUCTURES", make_table(["effects added", "probability"], rows, width=60))
     if (others := len(shares) - MAX_STRUCTURES) > 1:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
     texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
@@ -188,7 +188,7 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
     given = ", given what is missing from step 0" if first and first.findings else ""
     head = f"coefficients, corrections and budgets average {len(path.shares)} structures, those of "
     head += f"probability {s.averaged_probability:g} or more in the {100 * s.found_probability:g} % credible set"
-    return folded(f"{head}{given}: {texts}; --structure best uses the first alone")
+    return wrap(f"{head}{given}: {texts}; --structure best uses the first alone")
 
 
 def _explain_not_tested(step: Step) -> str:
@@ -214,7 +214,7 @@ def _format_missing(path: SearchPath) -> list[str]:
             if tuple(s.effects) not in added_alone
         ]
         lines += [f"missing from step {i}: {'; '.join(findings)}"] if findings else []
-    return [folded(line) for line in (*lines, *(f"unit? {words}" for words in questions))]
+    return [wrap(line) for line in (*lines, *(f"unit? {words}" for words in questions))]
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

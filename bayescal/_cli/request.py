@@ -21,7 +21,7 @@ from bayescal._cli.options import (
 )
 from bayescal._core.annex import load_entry
 from bayescal._core.errors import InputError
-from bayescal._core.progress import print_notes, stage
+from bayescal._core.progress import print_notes, track
 from bayescal._report.whole_folder import (
     AVERAGED,
     CALIBRATION,
@@ -87,7 +87,7 @@ def _read(
 ) -> dict[str, Measurements]:
     """Read files as readings of one output (name "") or of the channels `names`; average them if requested."""
     options |= {"outputs": list(names)} if names else {}
-    with stage("reading"):
+    with track("reading"):
         readings: Any = bc.read(list(files), kind, **request.read_options(), **options)
     records = (readings if names else {"": readings}).items()
     return {n: average_readings(r, request.average, request.keep_spikes) for n, r in records}

@@ -5,7 +5,7 @@ entries below, given directly or as text "module:name", which is then loaded on 
 
     commands            list of subclasses of `Command`
     exports             () → formats of `bayescal export`: name → function that maps an `ExportCommand` to its `Answer`
-    corrections         list of kinds of corrections, of type `CorrectionKind`
+    corrections         list of kinds of correction files, of type `CorrectionKind`
     corrected           calibration → its correction
     certificate         path → the data of a certificate, for `bayescal.report`
     decided             calibration, limits, **rule → conformity decisions, for a report
@@ -29,8 +29,8 @@ from bayescal._core.errors import InputError
 
 
 @cache
-def installed_annexes() -> list[Mapping[str, Any]]:
-    """Return the dictionaries of all installed annexes, sorted by the annexes' names."""
+def list_installed_annexes() -> list[Mapping[str, Any]]:
+    """Return the dictionaries of all annexes that can be imported, sorted by the names of their entry points."""
     annexes = list[Mapping[str, Any]]()
     for entry in sorted(entry_points(group="bayescal.annexes"), key=lambda entry: entry.name):
         with suppress(ImportError):  # not installed: its commands are absent
@@ -39,13 +39,13 @@ def installed_annexes() -> list[Mapping[str, Any]]:
 
 
 def load_entries(name: str) -> list[Any]:
-    """Return the entry `name` of each installed annex that has it, loaded if it is given as text."""
-    entries = [annex[name] for annex in installed_annexes() if name in annex]
+    """Return the entry `name` of each installed annex that has one; an entry "module:name" is imported first."""
+    entries = [annex[name] for annex in list_installed_annexes() if name in annex]
     return [resolve_name(entry) if isinstance(entry, str) else entry for entry in entries]
 
 
 def load_entry(name: str, request: str) -> Any:
-    """Return the first annex entry `name`; if there is none, raise InputError with `request` as its subject."""
+    """Return the entry `name` of the first annex that has one; else raise InputError, whose subject is `request`."""
     for entry in load_entries(name):
         return entry
     raise InputError(f"{request} needs a component that is not installed: install all of bayescal")

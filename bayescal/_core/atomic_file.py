@@ -24,16 +24,15 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space, quota or size
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file in the same folder that replaces `path` on success; remove it on failure.
+def replace_atomically(path: Path) -> Iterator[Path]:
+    """Yield the path of a temporary file that replaces `path` if the `with` block succeeds, and is removed if it fails.
 
-    If two processes write the same path simultaneously, the first fails because its temporary file is removed.
+    If two processes write the same path at once, the second removes the temporary file of the first, which fails.
     """
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename).
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    for leftover_path in list_leftovers(path):
-        if leftover_path.is_file():
-            leftover_path.unlink(missing_ok=True)
+    for leftover_path in filter(Path.is_file, list_leftovers(path)):
+        leftover_path.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)
@@ -42,23 +41,23 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def list_leftovers(path: Path) -> list[Path]:
-    """Return the temporary files for `path` of killed processes, or of one that is writing it."""
+    """Return the temporary files of `path` that killed processes have left, or that another process is writing."""
     return [*path.parent.glob(f".{glob.escape(path.name)}.*.partial")]
 
 
 @contextmanager
-def replacing_for_user(path: Path) -> Iterator[Path]:
-    """Yield a temporary file for a path chosen by the user; raise InputError if it cannot be written."""
+def replace_user_file(path: Path) -> Iterator[Path]:
+    """Replace a file as `replace_atomically` does, and create its folder; raise InputError if it cannot be written."""
     try:
-        with result_folder(path.parent), replacing(path) as partial:
+        with create_result_folder(path.parent), replace_atomically(path) as partial:
             yield partial
     except OSError as error:
-        raise InputError(f"{str(path)!r} cannot be written: {write_advice(error)}") from error
+        raise InputError(f"{str(path)!r} cannot be written: {explain_error(error)}") from error
 
 
 @contextmanager
-def result_folder(folder: Path | None) -> Iterator[Path | None]:
-    """Create `folder`, if given; if the block fails, remove folders created; raise InputError if creation fails."""
+def create_result_folder(folder: Path | None) -> Iterator[Path | None]:
+    """Create `folder`, if given, and yield it; on failure of the `with` block, remove it. Raises InputError."""
     missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         if folder is not None:
@@ -77,11 +76,11 @@ def _make_folder(folder: Path) -> None:
     except FileExistsError:
         raise InputError(f"{folder} is a file, not a folder: give another name") from None
     except OSError as error:
-        raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
+        raise InputError(f"folder {str(folder)!r} cannot be created: {error.strerror}") from None
 
 
-def write_advice(error: OSError) -> str:
-    """Format the reason why a file cannot be written, and what to do about it."""
+def explain_error(error: OSError) -> str:
+    """Return the reason why a file cannot be written and the remedy, as two sentences."""
     text = error.strerror or str(error)
     if error.errno in DISK_FULL:
         return f"{text}. Free disk space, or choose another folder; an existing file is unchanged"
@@ -90,21 +89,21 @@ def write_advice(error: OSError) -> str:
 
 
 def write_text(text: str, path: str | Path) -> Path:
-    """Write text as UTF-8 to a path chosen by the user; see `replacing_for_user`."""
+    """Write text as UTF-8 to a path chosen by the user, and return it; raise InputError if it cannot be written."""
     path = Path(path)
-    with replacing_for_user(path) as partial:
+    with replace_user_file(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
     return path
 
 
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, read in chunks."""
+def compute_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def encode_name(name: str) -> str:
-    """Encode a name for NetCDF: "/", reserved for groups, as %2F."""
+    """Encode a name for NetCDF, in which "/" separates groups: "/" as %2F and, where ambiguous, "%" as %25."""
     if "/" in name or name != decode_name(name):
         return name.replace("%", "%25").replace("/", "%2F")
     return name
@@ -116,14 +115,14 @@ def decode_name(stored: str) -> str:
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:
-    """Write bytes followed by the trailer that `read_sealed` verifies."""
+    """Write bytes to a file, followed by the trailer with their checksum that `read_sealed` verifies."""
     with path.open("wb") as file:
         file.write(content)
         file.write(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
 
 def read_sealed(path: Path, kind: str, advice: str) -> memoryview:
-    """Read and verify a sealed file of kind `kind`; return it without trailer, or raise InputError with `advice`."""
+    """Verify a sealed file and return its bytes without trailer; raise InputError: not `kind`, or damaged; `advice`."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -135,7 +134,7 @@ def read_sealed(path: Path, kind: str, advice: str) -> memoryview:
     if not data.startswith(b"\x89HDF"):
         fault = f"is not {kind}"
     elif trailer is None:
-        fault = f"has no checksum: it is damaged, not {kind}, or written by an earlier version"
+        fault = f"has no checksum: it is damaged, is not {kind}, or is of an earlier version"
     elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
         fault = "is damaged: its bytes do not match the checksum at its end"
     elif TRAILER.fullmatch(data[max(0, len(content) - TRAILER_BYTES) : len(content)]):

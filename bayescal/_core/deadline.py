@@ -1,7 +1,7 @@
 """Deadlines of computations: a time limit, or Ctrl-C.
 
-Long computations check the deadline between steps (`Deadline.ask`); a caller with a partial result catches `TimeIsUp`
-and completes the result (`finishing`). No step takes longer than some seconds, so none has to be aborted.
+Long computations check the deadline between steps (`Deadline.raise_if_over`); a caller with a partial result catches
+`TimeIsUp` and completes the result (`suspend`). No step takes longer than some seconds, so none has to be aborted.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ class TimeIsUp(Exception):
 class Interrupt:
     """State of the handler of Ctrl-C, during a command or a call from Python."""
 
-    requested: bool = False  # whether Ctrl-C was pressed and deferred, or a thread requested an end
-    deferred: bool = False  # whether a first Ctrl-C is deferred to the next check, because a partial result exists
+    is_requested: bool = False  # whether a deferred Ctrl-C, or a thread, has requested an end
+    is_deferred: bool = False  # whether a first Ctrl-C is deferred to the next check, because a partial result exists
 
     def handle(self, _: int, frame: FrameType | None) -> None:
         """Record a first Ctrl-C if it is deferred; else raise KeyboardInterrupt, once no JAX code is running.
 
-        JAX's callbacks of garbage collection lose an exception; during JAX's import, it terminates the process.
+        An exception in JAX's garbage-collection callbacks is lost; during JAX's import, it ends the process.
         """
-        if self.deferred and not self.requested:
-            self.requested = True
+        if self.is_deferred and not self.is_requested:
+            self.is_requested = True
             return
         while frame is not None:
             if str(frame.f_globals.get("__name__")).startswith("jax"):
@@ -51,44 +51,44 @@ class Deadline:
     """Time at which a computation must end, and the handling of Ctrl-C."""
 
     ends_at: float = math.inf  # s, of `time.monotonic`
-    limit: str = ""  # the reason of the limit, in words
+    limit_reason: str = ""  # what limits the time, for messages: "time limit of 60 s"
     interrupt: Interrupt = field(default_factory=Interrupt)  # Ctrl-C
     is_interruptible: bool = True  # whether Ctrl-C ends the computation
 
     @property
-    def interrupted(self) -> bool:
-        return self.is_interruptible and self.interrupt.requested
+    def is_interrupted(self) -> bool:
+        return self.is_interruptible and self.interrupt.is_requested
 
     @property
-    def over(self) -> bool:
-        return self.interrupted or time.monotonic() >= self.ends_at
+    def is_over(self) -> bool:
+        return self.is_interrupted or time.monotonic() >= self.ends_at
 
     @property
-    def why(self) -> str:
-        """Return the reason why the time is up: the limit, or "interrupted"."""
-        return "interrupted" if self.interrupted else self.limit
+    def reason(self) -> str:
+        """Return why the computation ends: the name of the time limit, or "interrupted" after Ctrl-C."""
+        return "interrupted" if self.is_interrupted else self.limit_reason
 
-    def ask(self) -> None:
+    def raise_if_over(self) -> None:
         """Raise TimeIsUp if the deadline has passed or Ctrl-C was pressed."""
-        if self.over:
-            raise TimeIsUp(self.why)
+        if self.is_over:
+            raise TimeIsUp(self.reason)
 
     def defer_interrupt(self) -> None:
-        """Defer a first Ctrl-C to the next `ask`, because a partial result exists."""
-        self.interrupt.deferred = True
+        """Defer a first Ctrl-C to the next `raise_if_over`, because a partial result exists."""
+        self.interrupt.is_deferred = True
 
 
-_NONE = Deadline()
-_CURRENT: ContextVar[Deadline] = ContextVar("deadline", default=_NONE)
+_NO_DEADLINE = Deadline()
+_CURRENT: ContextVar[Deadline] = ContextVar("deadline", default=_NO_DEADLINE)
 current = _CURRENT.get
 
 
 @contextmanager
-def until(limit: float | None = None, words: str = "time limit of {:g} s") -> Iterator[Deadline]:
-    """Set a deadline in `limit` s, unless an earlier one is set, with reason `words`; the outermost handles Ctrl-C."""
-    deadline = Deadline() if current() is _NONE else current()
-    if limit is not None and (ends_at := time.monotonic() + limit) < deadline.ends_at:
-        deadline = replace(deadline, ends_at=ends_at, limit=words.format(limit))
+def limit(seconds: float | None = None, words: str = "time limit of {:g} s") -> Iterator[Deadline]:
+    """Set a deadline unless an earlier one is set, `words` as its `limit_reason`; the outermost handles Ctrl-C."""
+    deadline = Deadline() if current() is _NO_DEADLINE else current()
+    if seconds is not None and (ends_at := time.monotonic() + seconds) < deadline.ends_at:
+        deadline = replace(deadline, ends_at=ends_at, limit_reason=words.format(seconds))
     default, main = signal.default_int_handler, threading.main_thread()
     handles = threading.current_thread() is main and signal.getsignal(signal.SIGINT) is default
     if handles:
@@ -101,14 +101,14 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
             signal.signal(signal.SIGINT, default)
 
 
-def sooner(share: float) -> AbstractContextManager[Deadline]:
-    """Set an earlier deadline, when `share` of the remaining time has passed."""
+def shorten(fraction: float) -> AbstractContextManager[Deadline]:
+    """Set an earlier deadline within the `with` block: `fraction` of the remaining time from now."""
     deadline, now = current(), time.monotonic()
-    return _use_deadline(replace(deadline, ends_at=now + share * (deadline.ends_at - now)))
+    return _use_deadline(replace(deadline, ends_at=now + fraction * (deadline.ends_at - now)))
 
 
-def finishing() -> AbstractContextManager[Deadline]:
-    """Suspend the deadline while a result is completed; a second Ctrl-C is raised at once."""
+def suspend() -> AbstractContextManager[Deadline]:
+    """Suspend the deadline within the `with` block, which completes a result; a second Ctrl-C is raised at once."""
     return _use_deadline(replace(current(), ends_at=math.inf, is_interruptible=False))
 
 

@@ -17,10 +17,10 @@ class BayescalError(Exception):
 
 
 class InputError(BayescalError):
-    """Raised when an input is invalid; the message names the place, the fault and the remedy.
+    """Raised when an input is invalid; the message states where, what is wrong, and the remedy.
 
     Attributes:
-        problems: problems of files, of type `bayescal._tables.raw_table.Objection`; empty for other errors.
+        problems: the problems found in files, of type `bayescal._tables.raw_table.Objection`; empty for other inputs.
     """
 
     def __init__(self, message: str, problems: tuple[Any, ...] = ()) -> None:
@@ -36,7 +36,7 @@ class NotConverged(BayescalError):
     """Raised when a fit does not converge.
 
     Attributes:
-        calibration: the result at the last iteration, with its verdict; use it at your own risk.
+        calibration: the result at the last iteration, with a verdict; not reliable.
     """
 
     def __init__(self, message: str, calibration: Any = None) -> None:
@@ -45,10 +45,9 @@ class NotConverged(BayescalError):
 
 
 class NotDrawn(BayescalError):
-    """Raised when a figure, or a page with figures, cannot be drawn; the result has been written nevertheless."""
+    """Raised when a figure, or a page with figures, cannot be drawn after the result has been written."""
 
     def __init__(self, subject: str, cause: BaseException) -> None:
         first_line = next(iter(str(cause).splitlines()), "")
         reason = f"{type(cause).__name__}: {first_line}".removesuffix(": ")
-        text = f"{subject} could not be drawn ({reason}); the result is kept, and is not affected"
-        super().__init__(text)
+        super().__init__(f"{subject} could not be drawn ({reason}); the result has been written")

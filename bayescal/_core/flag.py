@@ -1,4 +1,4 @@
-"""Flags: sentences about the readings, each with a code and the names concerned, for programs that parse no text."""
+"""Flags: sentences about readings, each with a code and the names concerned, so that programs need not parse it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Just-in-time compilation with options chosen by the length of a run, and partial functions compared by value.
 
 Most models are fitted a few times to some hundred readings, and compilation takes a hundred times as long as running.
-Without XLA's fusion emitters, compile time is halved at the same run time; also without backend optimisation, it is a
-fifth, at up to three times the run time (docs/decisions.md).
+Without XLA's fusion emitters, compilation takes half the time, at the same run time; without backend optimisation
+either, it takes a fifth, at up to three times the run time (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from bayescal._core.lazy_jax import jax
 R = TypeVar("R")
 
 
-def compiled(
+def compile_lazily(
     function: Callable[..., R], is_long: Callable[..., bool] = lambda *_: False
 ) -> Callable[..., R]:
-    """Return `function`, of (static argument, *arrays), as a function that is compiled at its first call.
+    """Return a function that compiles `function(static argument, *arrays)` at its first call, and calls it.
 
-    The code is fully optimised for arguments for which `is_long` is true; otherwise, compilation is fast.
+    `is_long`, of the same arguments, chooses fully optimised code if true, else fast compilation.
     """
 
     @cache
@@ -37,7 +37,7 @@ def compiled(
 
 
 def compiler_options(is_optimised: bool) -> dict[str, Any]:
-    """Return the compiler options that the installed version supports; unsupported ones would raise."""
+    """Return those compiler options that the installed XLA supports: others would raise an error."""
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
     options |= {} if is_optimised else {"xla_backend_optimization_level": 0}
     return {name: value for name, value in options.items() if _is_supported(name, value)}
@@ -71,7 +71,7 @@ class value_partial(partial):
 
 
 def to_value_partial(function: Any) -> Any:
-    """Convert a `functools.partial` with hashable arguments to `value_partial`; return anything else unchanged."""
+    """Convert a `functools.partial` with hashable arguments to a `value_partial`; return any other value unchanged."""
     if type(function) is not partial:
         return function
     args = map(to_value_partial, function.args)  # a basis of a basis

@@ -23,19 +23,19 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-MAX_CACHE_BYTES = 512 * 1024**2  # size of programs on disk; a first calibration adds some 5 MB
-MAX_MEMORY_MAPS = 30_000  # of 65,530 that Linux allows a process by default
+MAX_CACHE_BYTES = 512 * 1024**2  # size of the cache on disk; a first calibration adds some 5 MB
+MAX_MEMORY_MAPS = 30_000  # per process; Linux allows 65,530 by default
 
 
-def cache_folder() -> Path | None:
+def find_cache_folder() -> Path | None:
     """Return the folder of the persistent cache, which need not exist; None for no cache."""
     user_folder = os.environ.get("BAYESCAL_CACHE")
     if user_folder == "":
         return None
     xdg = os.environ.get("XDG_CACHE_HOME", "")  # ignored if relative, as its specification requires
     try:
-        caches = Path(xdg) if os.path.isabs(xdg) else Path.home() / ".cache"
-        return Path(user_folder).expanduser() if user_folder else caches / "bayescal"
+        cache_root = Path(xdg) if os.path.isabs(xdg) else Path.home() / ".cache"
+        return Path(user_folder).expanduser() if user_folder else cache_root / "bayescal"
     except RuntimeError:  # no home folder, as in some containers
         return None
 
@@ -55,21 +55,21 @@ def configure_jax() -> None:
     jax.config.update("jax_enable_x64", True)
     if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
         return
-    folder = (cache_folder() or Path(os.devnull)) / "jax"
+    folder = (find_cache_folder() or Path(os.devnull)) / "jax"
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):  # JAX would warn each time
         return
-    drop_if_large(folder, MAX_CACHE_BYTES)
+    empty_if_large(folder, MAX_CACHE_BYTES)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def drop_if_large(folder: Path, max_bytes: int) -> None:
-    """Delete the programs in a folder if they exceed `max_bytes` in total.
+def empty_if_large(folder: Path, max_bytes: int) -> None:
+    """Delete the compiled programs in a folder if they exceed `max_bytes` in total.
 
-    JAX's own size limit is not used: it reads a file per cached program whenever one is added, 0.1 s for 2,000.
+    JAX's own size limit is not used: for each added program, it reads a file of every cached one, 0.1 s for 2,000.
     """
     with suppress(OSError), os.scandir(folder) as entries:  # another process may delete them too
         if sum(entry.stat().st_size for entry in entries) > max_bytes:
@@ -90,7 +90,7 @@ class _LazyModule:
 
 
 class _JaxFinder(MetaPathFinder):
-    """Import finder that sets JAX up once it is loaded."""
+    """Import finder that calls `_set_up` once JAX is imported."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
         if fullname != "jax":
@@ -112,22 +112,22 @@ class _JaxFinder(MetaPathFinder):
         return spec
 
 
-_waiting: list[Callable[[], object]] | None = []  # None once JAX is set up
+_pending_callbacks: list[Callable[[], object]] | None = []  # None once JAX is set up
 
 
-def when_imported(callback: Callable[[], object]) -> None:
+def on_import(callback: Callable[[], object]) -> None:
     """Call a function once JAX is imported, or immediately if it already is."""
-    if _waiting is None:
+    if _pending_callbacks is None:
         callback()
     else:
-        _waiting.append(callback)
+        _pending_callbacks.append(callback)
 
 
 def _set_up() -> None:
-    global _waiting
+    global _pending_callbacks
     configure_jax()
-    waiting, _waiting = _waiting or [], None
-    for callback in waiting:
+    pending_callbacks, _pending_callbacks = _pending_callbacks or [], None
+    for callback in pending_callbacks:
         callback()
 
 
@@ -144,8 +144,8 @@ else:
     jax, jnp, Array = _LazyModule("jax"), _LazyModule("jax.numpy"), Any
 
 
-def spare_memory_maps() -> None:
-    """Drop compiled programs before the process exceeds the kernel's limit of memory maps (Linux only).
+def free_memory_maps() -> None:
+    """Clear JAX's compiled programs before the process exceeds the kernel's limit of memory maps (Linux only).
 
     A program uses about ten maps, so that a loop over many models may exceed the default limit, 65,530; Linux then
     aborts the process. Programs that are needed again are loaded from the cache on disk.
@@ -159,7 +159,7 @@ def spare_memory_maps() -> None:
         jax.clear_caches()
 
 
-# Configuration files that a library reads from the current folder at import: file → library.
+# Configuration file that a library reads from the current folder at import → this library.
 CONFIGURATION_FILES = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
 
 

@@ -12,7 +12,7 @@ from threadpoolctl import ThreadpoolController
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_threads = cache(ThreadpoolController)
+_get_thread_pools = cache(ThreadpoolController)
 
 
 def run_on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
@@ -20,7 +20,7 @@ def run_on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def run_limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
+        with _get_thread_pools().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
             return function(*args, **kwargs)
 
     return run_limited

@@ -1,4 +1,4 @@
-"""Workarounds for Python 3.11; its end of life is October 2027: remove them, and its lines in `pyproject.toml`."""
+"""Workarounds for Python 3.11; remove them, and its lines in `pyproject.toml`, at its end of life, October 2027."""
 
 import os
 import sys
@@ -6,7 +6,7 @@ import sys
 MIN_WORKERS = 16  # with 8 JAX sometimes hung, with 16 never
 
 
-def set_workers() -> None:
+def set_worker_count() -> None:
     """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
 
     JAX before 0.12, the last for Python 3.11, runs independent operations concurrently, each on a worker; a batched
@@ -19,4 +19,4 @@ def set_workers() -> None:
 
 
 if sys.version_info < (3, 12):
-    set_workers()
+    set_worker_count()

@@ -1,7 +1,7 @@
-"""Quoting of arbitrary text (names of files, columns, devices, effects) for other languages; templates.
+"""Quoting of names (of files, columns, devices, effects) and numbers for C, Python, HTML and CSV; templates.
 
 Text for a compiler, an interpreter, a browser or a spreadsheet passes through the function of that language, numbers
-through `number_text`, so that none is interpreted as code, markup or a formula.
+through `format_digits`, so that none is interpreted as code, markup or a formula.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _SPELLINGS = (
     "\u2044|/ ß|ss \u0303|~ \u0302|^ \u0304|_mean \u0307|_dot"
 )
 _SPELLING_BY_CHARACTER = {pair[0]: pair[2:].replace("␣", " ") for pair in _SPELLINGS.split()}
-_GREEK = r"GREEK (SMALL|CAPITAL) LETTER (\w+)"
+_GREEK_NAME = r"GREEK (SMALL|CAPITAL) LETTER (\w+)"
 
 
-def ascii_text(text: str) -> str:
-    """Transliterate text to ASCII: T̃ as T~, τ as tau, ² as ^2, € as <U+20AC>.
+def to_ascii(text: str) -> str:
+    """Transliterate text to ASCII: τ as tau, ² as ^2; other characters as code points, such as € as <U+20AC>.
 
-    Marks that distinguish symbols are spelled out (ẋ as x_dot), accents are dropped (é as e).
+    Combining marks of symbols are spelled out (T̃ as T~, ẋ as x_dot); accents are dropped (é as e).
     """
     spelled_text = "".join(map(_transliterate, unicodedata.normalize("NFC", text)))
     return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled_text)  # ^-^6 is ^-6
@@ -36,7 +36,7 @@ def ascii_text(text: str) -> str:
 def _transliterate(character: str) -> str:
     if character.isascii() or character in _SPELLING_BY_CHARACTER:
         return _SPELLING_BY_CHARACTER.get(character, character)
-    if greek_match := re.fullmatch(_GREEK, unicodedata.name(character, "")):
+    if greek_match := re.fullmatch(_GREEK_NAME, unicodedata.name(character, "")):
         return greek_match[2].lower() if greek_match[1] == "SMALL" else greek_match[2].capitalize()
     kind, _, codes = unicodedata.decomposition(character).rpartition("> ")
     if codes:
@@ -45,35 +45,35 @@ def _transliterate(character: str) -> str:
     return "" if unicodedata.combining(character) else f"<U+{ord(character):04X}>"
 
 
-def one_line(text: Any) -> str:
-    """Format text as one line, each non-printing character (control, direction mark) as its code point: <U+001B>."""
+def to_printable(text: Any) -> str:
+    """Format text as one line: line breaks as blanks, other unprintable characters as code points, such as <U+001B>."""
     return "".join(
         c if c.isprintable() else " " if c.isspace() else f"<U+{ord(c):04X}>" for c in str(text)
     )
 
 
-_JOINT = r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)|^(?=[*/])|(?<=[*/])$"
+_COMMENT_DELIMITER_GAP = r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)|^(?=[*/])|(?<=[*/])$"
 
 
-def c_comment(text: Any) -> str:
-    """Quote text for a C comment: ASCII, one line, without comment delimiters and line continuations.
+def quote_c_comment(text: Any) -> str:
+    """Quote text for a C comment: one line of ASCII without comment delimiters, trigraphs or line continuations.
 
-    Backslashes are replaced by slashes first, so that none completes a `*/` later.
+    Backslashes are replaced by slashes first, so that such a slash cannot form a delimiter.
     """
-    return re.sub(_JOINT, " ", _quote(text))
+    return re.sub(_COMMENT_DELIMITER_GAP, " ", _to_ascii_line(text))
 
 
-def python_words(text: Any) -> str:
-    """Make text safe in a Python docstring or comment: one line of ASCII, with single quotes, and / for backslashes."""
-    return _quote(text).replace('"', "'")
+def quote_python_comment(text: Any) -> str:
+    """Quote text for a Python docstring or comment: one line of ASCII, with ' for " and slashes for backslashes."""
+    return _to_ascii_line(text).replace('"', "'")
 
 
-def _quote(text: Any) -> str:
-    return " ".join(ascii_text(one_line(text)).replace("\\", "/").split())
+def _to_ascii_line(text: Any) -> str:
+    return " ".join(to_ascii(to_printable(text)).replace("\\", "/").split())
 
 
-def python_string(text: Any) -> str:
-    """Quote text as a Python string literal in ASCII, with its quotation marks."""
+def quote_python(text: Any) -> str:
+    """Format text as a Python string literal in ASCII, with quotation marks."""
     return '"' + str(text).encode("unicode_escape").decode("ascii").replace('"', r"\"") + '"'
 
 
@@ -85,61 +85,59 @@ _C_WORDS = (
 _C_RESERVED = frozenset(_C_WORDS.split())
 
 
-def identifier(text: Any, taken: Collection[str] = ()) -> str:
-    """Convert text to an identifier valid in C and Python: no keyword, no C macro, and none of `taken`."""
-    # The same identifier is used in C and Python, so that it must be valid in both.
+def to_identifier(text: Any, taken: Collection[str] = ()) -> str:
+    """Convert text to an identifier not in `taken` and not reserved in C or Python (keyword, macro, builtin)."""
     name = re.sub(r"\W+", "_", str(text), flags=re.ASCII).strip("_") or "x"
     name = name if not name[0].isdigit() else f"x_{name}"
     name += "_" * name.isupper()  # C macros are in upper case: NAN, INFINITY
-    while (
-        name in taken or name in _C_RESERVED or keyword.iskeyword(name) or hasattr(builtins, name)
-    ):
+    reserved = {*taken, *_C_RESERVED, *keyword.kwlist, *dir(builtins)}
+    while name in reserved:
         name += "_"
     return name
 
 
-def number_text(value: Any) -> str:
-    """Format a number with all its digits, in a form valid in all languages; raise TypeError for text."""
+def format_digits(value: Any) -> str:
+    """Format a number with all its digits as a literal valid in C, Python and JSON; raise TypeError for text."""
     if isinstance(value, str | bytes):
         raise TypeError(f"{value!r} is text, but a number was expected")
     return repr(float(value))
 
 
-def html_text(text: Any) -> str:
+def escape_html(text: Any) -> str:
     """Escape text for HTML content or a quoted attribute."""
     return html.escape(str(text))
 
 
-_FORMULA = r"[=+\-@\t\r]"
-_NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)"
+_FORMULA_START = r"[=+\-@\t\r]"
+_NUMBER_PATTERN = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)"
 
 
-def csv_cell(text: Any) -> str:
-    """Quote a CSV cell: prefix an apostrophe to text that a spreadsheet would interpret as a formula.
+def quote_cell(text: Any) -> str:
+    """Format a CSV cell: prefix an apostrophe to text that a spreadsheet would interpret as a formula.
 
-    Numbers are unchanged. `csv_cell_read` is the inverse.
+    Numbers are unchanged. `unquote_cell` is the inverse.
     """
     text = str(text)
-    is_formula = re.match(_FORMULA, text.lstrip("'"))
-    return f"'{text}" if is_formula and not re.fullmatch(_NUMBER, text) else text
+    is_formula = re.match(_FORMULA_START, text.lstrip("'"))
+    return f"'{text}" if is_formula and not re.fullmatch(_NUMBER_PATTERN, text) else text
 
 
-def csv_cell_read(text: str) -> str:
-    """Return the text of a cell that `csv_cell` quoted."""
-    return text[1:] if text.startswith("'") and re.match(_FORMULA, text.lstrip("'")) else text
+def unquote_cell(text: str) -> str:
+    """Return the text of a cell that `quote_cell` quoted."""
+    return text[1:] if text.startswith("'") and re.match(_FORMULA_START, text.lstrip("'")) else text
 
 
-def csv_line(cells: Iterable[Any], separator: str = ",") -> str:
-    """Format cells as a line of CSV, without a line end."""
+def format_csv_line(cells: Iterable[Any], separator: str = ",") -> str:
+    """Format cells as a line of CSV, quoted by `quote_cell`, without a line end."""
     buffer = io.StringIO()
-    csv.writer(buffer, delimiter=separator).writerow(map(csv_cell, cells))
+    csv.writer(buffer, delimiter=separator).writerow(map(quote_cell, cells))
     return buffer.getvalue().removesuffix("\r\n")
 
 
-def template(package: str, name: str, filters: Mapping[str, Any], **options: Any) -> Any:
-    """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
+def load_template(package: str, name: str, filters: Mapping[str, Any], **options: Any) -> Any:
+    """Load a Jinja template from the folder `templates` of a package; undefined variables raise an error at rendering.
 
-    The filter `digits`, which formats a number with all digits, is added; `options` are those of `jinja2.Environment`.
+    `filters` are added, and `digits`, which formats a number with all digits; `options`: of `jinja2.Environment`.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only where it is needed
 
@@ -151,5 +149,5 @@ def template(package: str, name: str, filters: Mapping[str, Any], **options: Any
         keep_trailing_newline=True,
         **options,
     )
-    environment.filters |= {"digits": number_text, **filters}
+    environment.filters |= {"digits": format_digits, **filters}
     return environment.get_template(name)

@@ -10,31 +10,31 @@ NOTICE = "{} is now called {}; the former name will be removed in 0.4"
 _warn = partial(warnings.warn, category=DeprecationWarning, stacklevel=2)
 
 
-class _Former(NamedTuple):
+class _Alias(NamedTuple):
+    alias: str
     name: str
-    new: str
 
     def __get__(self, instance: Any, owner: type) -> Any:
-        _warn(NOTICE.format(f"{owner.__name__}.{self.name}", self.new))
-        return getattr(owner if instance is None else instance, self.new)
+        _warn(NOTICE.format(f"{owner.__name__}.{self.alias}", self.name))
+        return getattr(owner if instance is None else instance, self.name)
 
 
 def renamed(**names: str) -> Callable[[T], T]:
-    """Decorate a class with aliases of attributes and fields, or a function with those of arguments: former="new"."""
+    """Return a decorator that adds aliases of attributes to a class, of arguments to a function: alias="name"."""
 
     def add_aliases(target: Any) -> Any:
         if isinstance(target, type):
-            for name, new_name in names.items():
-                setattr(target, name, _Former(name, new_name))
+            for alias, name in names.items():
+                setattr(target, alias, _Alias(alias, name))
             if {*names.values()} & vars(target).get("__dataclass_fields__", {}).keys():
                 target.__init__ = renamed(**names)(target.__init__)
             return target
 
         @wraps(target)
         def call(*args: Any, **kwargs: Any) -> Any:
-            for name in names.keys() & kwargs.keys():
-                _warn(NOTICE.format(f"{target.__qualname__}({name}=)", names[name]))
-                kwargs[names[name]] = kwargs.pop(name)
+            for alias in names.keys() & kwargs.keys():
+                _warn(NOTICE.format(f"{target.__qualname__}({alias}=)", names[alias]))
+                kwargs[names[alias]] = kwargs.pop(alias)
             return target(*args, **kwargs)
 
         return call

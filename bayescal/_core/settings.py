@@ -18,19 +18,19 @@ class Settings:
     """Thresholds of searches, acceptance checks and sampling.
 
     Attributes:
-        found_probability: probability from which an effect, or one of a set, is reported as missing: odds of 19.
+        found_probability: probability from which an effect, or one of a set, is reported as missing: odds of 19 to 1.
         prior_complete: prior probability that the model is complete; one half is neutral (docs/mathematics.md).
         strong_evidence: log Bayes factor, nats, of strong evidence: odds of 20 (Kass and Raftery, JASA 90 (1995) 773).
-        power: share of repeated campaigns in which an effect of the minimum detectable size would be found; the usual
-            0.8 of the design of experiments (J. Cohen, Statistical Power Analysis, 1988).
-        averaged_probability: probability from which a structure is averaged; others change no printed uncertainty.
+        power: probability that a repeated campaign would find an effect of the minimum detectable size; 0.8 is usual in
+            the design of experiments (J. Cohen, Statistical Power Analysis, 1988).
+        averaged_probability: minimum probability of a structure in the model average; others change no printed digit.
         finer_noise: whether sums of noise terms are evaluated if correlated noise is probable. Results may then pass
-            acceptance checks that fail with one Ornstein–Uhlenbeck process; searches of thousands of readings take
-            three to five times as long, those of hundreds no longer.
-        outlier_sd: leave-one-out residual, standard deviations, of an outlier; 1 normal reading in 16,000 exceeds 4.
+            acceptance checks that they fail with one Ornstein–Uhlenbeck process. Searches of thousands of readings take
+            three to five times as long, searches of hundreds no longer.
+        outlier_sd: leave-one-out residual, standard deviations, of an outlier; 1 normal reading in 16,000 exceeds ±4.
         holdout_p: p-value below which hold-out data contradict a result; a few valid results in a hundred are rejected.
-        temperature_span: range, °C, below which the temperature of a record is constant; stability of a good chamber.
-        effective_draws: minimum effective sample size, from which a standard deviation is estimated to 3.5 %.
+        temperature_span: range, °C, below which a temperature counts as constant: the stability of a good chamber.
+        effective_draws: minimum effective sample size of draws; 400 determine a standard deviation to 3.5 %.
     """
 
     found_probability: float = 0.95
@@ -45,7 +45,7 @@ class Settings:
     effective_draws: int = 400
 
 
-def seed_of(random: Any) -> int:
+def to_seed(random: Any) -> int:
     """Return a seed: the given integer, or one drawn from a NumPy generator."""
     return int(random.integers(2**31) if hasattr(random, "integers") else random)
 
@@ -71,6 +71,6 @@ def use_settings(new_settings: Settings) -> Iterator[None]:
         _CURRENT.reset(token)
 
 
-def changed_settings() -> dict[str, float]:
+def list_changed_settings() -> dict[str, float]:
     """Return the settings that differ from their defaults, by name."""
     return {name: v for name, v in asdict(settings()).items() if v != getattr(DEFAULTS, name)}

@@ -1,3 +1,3 @@
-"""Version number of the package, read by the build and compared with `CITATION.cff` by a test."""
+"""Version number of the package; the build reads it, and a test compares it with `CITATION.cff`."""
 
 __version__ = "0.2.0"

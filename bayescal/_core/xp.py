@@ -1,6 +1,6 @@
 """`xp`: array functions common to NumPy and JAX, dispatched by the type of their arguments.
 
-A basis or response written with `xp` is evaluated by NumPy on concrete arrays and traced by JAX in a program. Searches
+A basis or response written with `xp` is evaluated by NumPy on NumPy arrays and traced by JAX in JAX programs. Searches
 evaluate it by NumPy, in microseconds (tracing takes milliseconds); NUTS, nonlinear least squares and exports trace it.
 """
 
@@ -18,7 +18,7 @@ HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  #
 
 
 def is_traced(values: Any) -> bool:
-    """Return whether values are, or contain (in lists, tuples, dictionaries), a JAX array."""
+    """Return whether the values are a JAX array, or a list, tuple or dictionary that contains one."""
     jax = sys.modules.get("jax")  # if it was never imported, there are no JAX arrays
     if jax is None or type(values) in HOST_TYPES:
         return False
@@ -29,13 +29,13 @@ def is_traced(values: Any) -> bool:
     return any(map(is_traced, values))
 
 
-def special_functions(values: Any) -> Any:
+def get_special_functions(values: Any) -> Any:
     """Return the module of special functions for the type of values: scipy.special or jax.scipy.special."""
     return import_module("jax.scipy.special" if is_traced(values) else "scipy.special")
 
 
 class Namespace:
-    """Functions of arrays, dispatched by their arguments: `xp.exp(x)`, `xp.linalg.norm(x)`."""
+    """Array functions that dispatch to NumPy or JAX by their arguments: `xp.exp(x)`, `xp.linalg.norm(x)`."""
 
     def __init__(self, path: str = "") -> None:
         self._path = path
@@ -58,20 +58,20 @@ class Namespace:
             return values
         return _dispatch("asarray", np.asarray)(values, dtype)
 
-    def placed(self, order: Any, values: Any) -> Any:
+    def scatter(self, order: Any, values: Any) -> Any:
         """Return values (..., n) scattered by a permutation `order`: result[..., order] = values."""
         if is_traced((order, values)):
             return self.zeros_like(values).at[..., order].set(values)
-        if len(order) and order[0] == 0 and np.all(order[1:] > order[:-1]):  # as they stand
+        if len(order) and order[0] == 0 and np.all(order[1:] > order[:-1]):  # the identity
             return values
-        placed = np.empty_like(values)
-        placed[..., order] = values
-        return placed
+        scattered = np.empty_like(values)
+        scattered[..., order] = values
+        return scattered
 
     def scan(self, advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any) -> Any:
-        """Scan `advance` over rows (n, …), or a tuple of such arrays, like `jax.lax.scan`; return the outputs only.
+        """Apply `advance` to the rows (n, …), or tuples of rows, in turn, as `jax.lax.scan`; return the outputs.
 
-        advance(state, row) returns (next state, output); the outputs are stacked along the first axis.
+        advance(state, row) returns (next state, output); the outputs are stacked along the first axis (n, …).
         """
         if is_traced((start, rows)):
             return import_module("jax").lax.scan(advance, start, rows)[1]
@@ -85,15 +85,15 @@ class Namespace:
 def _dispatch(path: str, numpy_function: Callable[..., Any]) -> Callable[..., Any]:
     get_jax_function = attrgetter(path)
 
-    def function(*args: Any, **kwargs: Any) -> Any:
+    def dispatch(*args: Any, **kwargs: Any) -> Any:
         is_host = HOST_TYPES.issuperset(map(type, (*args, *kwargs.values())))
         if not is_host and (is_traced(args) or is_traced(kwargs)):
             return get_jax_function(sys.modules["jax"].numpy)(*args, **kwargs)
         return numpy_function(*args, **kwargs)
 
     if hasattr(numpy_function, "accumulate"):
-        function.accumulate = _dispatch(f"{path}.accumulate", numpy_function.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
-    return function
+        dispatch.accumulate = _dispatch(f"{path}.accumulate", numpy_function.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
+    return dispatch
 
 
 xp: Any = Namespace()

@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
-from bayescal._core.result_table import plain_table
+from bayescal._core.result_table import make_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import EVEN_STEPS
 from bayescal._data.unit_conversion import parse, unit_label
@@ -117,7 +117,7 @@ class AllanDeviation:
             [number(t), f"{number(d)} {unit}".rstrip(), f"{number(low)} to {number(high)}"]
             for t, d, low, high in zip(self.tau, self.deviation, self.low, self.high, strict=True)
         ]
-        return str(plain_table(["τ [s]", "Allan deviation", "95 % interval"], rows, left=0))
+        return str(make_table(["τ [s]", "Allan deviation", "95 % interval"], rows, left=0))
 
 
 def allan_deviation(

@@ -17,7 +17,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.netcdf import Variable
 from bayescal._core.renamed import renamed
-from bayescal._core.result_table import Printed, ResultTable, plain_table
+from bayescal._core.result_table import Printed, ResultTable, make_table
 from bayescal._data import averaging
 from bayescal._data import dataset_checks as checks
 from bayescal._data.column import (
@@ -183,7 +183,7 @@ class Measurements(Printed):
             else:
                 text = f"{number(np.nanmin(values), 5)} to {number(np.nanmax(values), 5)}"
             rows.append([name, unit or "", text])
-        table = plain_table(["column", "unit", "range"], rows, left=3)
+        table = make_table(["column", "unit", "range"], rows, left=3)
         return [f"{len(self)} readings of {self.file}", table]
 
     def _format_summary(self) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, overload
 
 from bayescal._core.errors import InputError
-from bayescal._core.quoting import one_line
+from bayescal._core.quoting import to_printable
 from bayescal._data.column import NominalScale
 from bayescal._data.measurements import Measurements, measure_tables
 from bayescal._data.read_options import InstrumentLike, ReadOptions, expected_columns, output_name
@@ -143,7 +143,7 @@ def _make_run_labels(paths: Sequence[Path]) -> list[str]:
     stems, labels = Counter(path.stem for path in paths), list[str]()
     for path in paths:
         folder = f"{path.resolve().parent.name}/" * (stems[path.stem] > 1)
-        label = one_line(f"{folder}{path.stem}")
+        label = to_printable(f"{folder}{path.stem}")
         candidates = (label, *(f"{label} ({number})" for number in range(2, len(paths) + 1)))
         labels.append(next(text for text in candidates if text not in labels))
     return labels

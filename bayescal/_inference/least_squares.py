@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[report
 
 from bayescal._core.lazy_jax import jnp
 from bayescal._core.parallel import run_on_one_thread
-from bayescal._core.progress import stage
+from bayescal._core.progress import track
 from bayescal._inference import trust
 from bayescal._inference.gaussian import Prior
 from bayescal._inference.laplace import NO_START, Mode, find_mode
@@ -56,7 +56,7 @@ class LeastSquares(Method):
     name: ClassVar[str] = "least-squares"
 
     def run(self, problem: Problem, seed: int, start: Any = NO_START) -> Outcome:
-        with stage("least squares"):
+        with track("least squares"):
             mode = find_mode(problem, start=start)
             # Near a known mode a few Gauss–Newton steps suffice, without optimistix.
             solution = refine(problem, mode, self.curvature == "hessian", use_optimistix=not start)

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core import deadline
-from bayescal._core.importance_weights import effective_size, resample, smoothed
+from bayescal._core.importance_weights import compute_ess, resample, smooth
 from bayescal._core.lazy_jax import jax
-from bayescal._core.progress import stage
+from bayescal._core.progress import track
 from bayescal._core.settings import settings
 from bayescal._inference import nuts_chains, sampled_products, trust
 from bayescal._inference.laplace import NO_START, Mode, find_mode
@@ -63,7 +63,7 @@ class Marginal(Method):
     name: ClassVar[str] = "marginal"
 
     def run(self, problem: Problem, seed: int, start: Any = NO_START) -> Outcome:
-        with stage("finding the mode"), deadline.finishing():
+        with track("finding the mode"), deadline.suspend():
             problem, notes, mode = sampled_products.promote_products(problem, self.promote, start)
             mode = find_mode(problem, start=start) if mode is None else mode
         layout, finish = problem.layout, partial(self.approximate, problem, mode, seed, notes)
@@ -71,7 +71,7 @@ class Marginal(Method):
         try:
             if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
                 return self._run_nuts(problem, mode, seed, notes)
-            with stage("sampling"):
+            with track("sampling"):
                 for weighted in self._sample_until_reliable(problem, mode, seed):
                     fault = weighted.fault
                     finish = partial(self._resample_draws, layout, weighted, notes, seed)
@@ -108,7 +108,7 @@ class Marginal(Method):
             weighted = _smooth_weights(draws, is_student_t)
             count = len(weighted.weights)
             limit = MAX_PROPOSALS if self.proposals is None else 0
-            expected_ess = effective_size(weighted.weights) / count * max_proposals
+            expected_ess = compute_ess(weighted.weights) / count * max_proposals
             if weighted.k_hat <= weighted.limit and expected_ess >= settings().effective_draws:
                 limit = max(limit, max_proposals)
             yield weighted
@@ -121,7 +121,7 @@ class Marginal(Method):
     def _resample_draws(self, layout, weighted: _SmoothedDraws, notes, seed, why: str) -> Outcome:
         """Resample draws by their weights; `why`: reason to accept unreliable weights, such as a deadline, or ""."""
         draws, weights, k_hat = weighted.draws, weighted.weights, weighted.k_hat
-        ess, reasons = effective_size(weights), ()
+        ess, reasons = compute_ess(weights), ()
         limit = weighted.limit
         if why and trust.check_weights(weights, k_hat, limit=limit, min_ess=MIN_DEADLINE_ESS):
             reasons = (NUTS_UNFINISHED.format(weighted.fault, why),)
@@ -145,8 +145,8 @@ class Marginal(Method):
         log_density, unpack, start, covariance = nuts_chains.whiten_posterior(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
         is_unlimited = is_unlimited or deadline.current().ends_at < math.inf
-        with stage("NUTS on whitened unknowns"):
-            with deadline.until(None if is_unlimited else nuts_chains.MAX_TIME_S, words=TOO_SHORT):
+        with track("NUTS on whitened unknowns"):
+            with deadline.limit(None if is_unlimited else nuts_chains.MAX_TIME_S, words=TOO_SHORT):
                 chains = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
             to_unknowns = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
             x, v = to_unknowns(chains.draws.reshape(-1, start.size))
@@ -171,8 +171,8 @@ class _SmoothedDraws(NamedTuple):
 
 
 def _smooth_weights(draws: WeightedDraws, is_student_t: bool = False) -> _SmoothedDraws:
-    weights, k_hat = smoothed(draws.log_weight)
-    weights_of_phi, _ = smoothed(draws.log_weight_phi)
+    weights, k_hat = smooth(draws.log_weight)
+    weights_of_phi, _ = smooth(draws.log_weight_phi)
     correction = draws.log_weight - draws.log_weight_phi
     limit = MAX_K_HAT if is_student_t else trust.select_k_hat(correction, weights_of_phi)
     fault = trust.check_weights(weights, k_hat, limit=limit)

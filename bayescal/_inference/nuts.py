@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal._core import deadline
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._core.progress import stage
+from bayescal._core.progress import track
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
 from bayescal._inference.density import Density
@@ -48,14 +48,14 @@ class NUTS(Method):
         layout = replace(problem.layout, promoted=())
         problem = Problem(layout, problem.record)
         frame, y = problem.record.frame, problem.record.y
-        with deadline.finishing():
+        with deadline.suspend():
             mode = find_mode(problem, start=start)
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
         init_strategy = make_init_strategy(problem, mode)
         kernel = plan.kernel(build_program(layout, frame), init_strategy=init_strategy)
         deadline.current().defer_interrupt()
         try:
-            with stage("NUTS on every unknown"):
+            with track("NUTS on every unknown"):
                 chains = run_kernel(kernel, jax.random.key(seed), (y,), None, plan)
         except deadline.TimeIsUp as interrupt:
             return Marginal().approximate(problem, mode, seed, (), str(interrupt))

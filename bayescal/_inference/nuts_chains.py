@@ -87,7 +87,7 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
         return state, (state.z, state.diverging, state.num_steps)
 
     limit, count = deadline.current(), plan.warmup + plan.draws
-    limit.ask()
+    limit.raise_if_over()
     keys = jax.random.split(key, plan.chains)
     state = kernel.init(keys, plan.warmup, starts, model_args=arguments, model_kwargs={})
     block = jax.jit(
@@ -97,7 +97,7 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
     block = block.lower(state).compile()  # excluded from the timing
     blocks = []
     for iteration in range(0, count, BLOCK):
-        limit.ask()
+        limit.raise_if_over()
         start = time.monotonic()
         state, samples = jax.block_until_ready(block(state))
         blocks.append(jax.tree.map(np.asarray, samples))
@@ -108,7 +108,7 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
             seconds = elapsed / BLOCK * min(1.0, MIN_STEPS / steps) * (count - BLOCK)
             if time.monotonic() + seconds > limit.ends_at:
                 duration = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
-                raise deadline.TimeIsUp(f"{limit.why}; NUTS would take {duration} or more")
+                raise deadline.TimeIsUp(f"{limit.reason}; NUTS would take {duration} or more")
     z, diverging, steps = jax.tree.map(
         lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *blocks
     )

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.jit import compiled
+from bayescal._core.jit import compile_lazily
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
@@ -66,7 +66,7 @@ def compile_on_call(function: Callable[..., Any], costly: bool = False) -> Calla
         has_loop = not getattr(argument, "independent", True)  # through all readings, at each φ
         return frame.size >= MIN_OPTIMISED_READINGS or has_loop or costly
 
-    return compiled(function, is_long)
+    return compile_lazily(function, is_long)
 
 
 # Slot values or column shifts by name: (n,), or (b, n) for b draws.

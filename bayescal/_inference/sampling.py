@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.special import gammaln, logsumexp, ndtr, ndtri, softmax
 
 from bayescal._core import deadline
-from bayescal._core.importance_weights import Corrections, effective_size, smoothed
+from bayescal._core.importance_weights import Corrections, compute_ess, smooth
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -189,7 +189,7 @@ class BatchedDensity:
     def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         size, parts = self.problem.size, []
         for part in np.array_split(v, -(-len(v) // self.batch_size)):
-            deadline.current().ask()
+            deadline.current().raise_if_over()
             parts.append(self.draw_at(part, np.zeros((len(part), size)))[0])
         return np.concatenate(parts)
 
@@ -232,12 +232,12 @@ def adapt_proposal(
         v, log_proposal = draw_proposals(mixture, prior, rng, proposals)
         log_density = values(v)
         log_weight = log_density - log_proposal
-        if np.max(log_density) > limit or effective_size(softmax(log_weight)) > ESS_RATIO * len(v):
+        if np.max(log_density) > limit or compute_ess(softmax(log_weight)) > ESS_RATIO * len(v):
             break
         sample = _Sample(v, log_density, np.zeros((len(v), 0)), log_density)
         pool.add(mixture, log_proposal, sample)
         mixture = _update_mixture(mixture, mode, pool.samples.v, pool.log_weight)
-        if k + 1 >= K_HAT_ROUNDS and smoothed(log_weight)[1] <= MAX_K_HAT:
+        if k + 1 >= K_HAT_ROUNDS and smooth(log_weight)[1] <= MAX_K_HAT:
             break
     return mixture
 
@@ -347,7 +347,7 @@ def draw_weighted(
         if density.max_log_density <= threshold:
             draws = pool.weigh_draws(density.mode)
             # For an improbable structure another search for the mode is not worth its cost.
-            if probability < RESTART_PROBABILITY or not smoothed(draws.log_weight)[1] > MAX_K_HAT:
+            if probability < RESTART_PROBABILITY or not smooth(draws.log_weight)[1] > MAX_K_HAT:
                 return draws
             start_v = draws.v[int(np.argmax(draws.log_weight_phi))]
         # A draw above the mode, or with a dominating weight, indicates another mode: search again from there.
@@ -413,8 +413,8 @@ def _fill_pool(
         pool.add(mixture, log_proposal, sample)
         if k == max_rounds or len(pool.samples.v) < targets[0]:
             continue
-        weights, k_hat = smoothed(log_weight := pool.log_weight)
-        if k_hat <= MAX_K_HAT and effective_size(weights) >= targets[1]:
+        weights, k_hat = smooth(log_weight := pool.log_weight)
+        if k_hat <= MAX_K_HAT and compute_ess(weights) >= targets[1]:
             break
         if k >= batches:
             mixture = _update_mixture(pool.mixtures[0], mode, pool.samples.v, log_weight)
@@ -447,7 +447,7 @@ def _draw_coefficients(
     first_count = FIRST_BATCH_DRAWS if is_nonlinear and count > FIRST_BATCH_DRAWS else 0
     parts = np.array_split(np.arange(first_count, count), -(-(count - first_count) // batch_size))
     for rows in ([np.arange(first_count)] if first_count else []) + parts:
-        deadline.current().ask()
+        deadline.current().raise_if_over()
         normal = draw_normals(problem.size, len(rows), is_student_t, rng)
         log_density[rows], draws = density.draw_at(v[rows], normal)
         log_weight_phi = log_density[rows] - log_proposal[rows]
@@ -522,7 +522,7 @@ def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.
     weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
-    effective_draws = effective_size(weight)
+    effective_draws = compute_ess(weight)
     # Shrinkage: at 20 effective draws per coordinate sample and Laplace covariance have equal weight.
     confidence = effective_draws / (effective_draws + 20.0 * v.shape[1])
     mean = weight @ v
@@ -557,4 +557,4 @@ def draw_by_importance(
     log_weight = evaluate(u) - log_proposal
     evidence = float(np.asarray(logsumexp(log_weight))) - math.log(count)
     evidence += float(np.linalg.slogdet(root)[1])
-    return fit.v + u @ root.T, smoothed(log_weight)[0], evidence
+    return fit.v + u @ root.T, smooth(log_weight)[0], evidence

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.importance_weights import effective_size
+from bayescal._core.importance_weights import compute_ess
 from bayescal._core.settings import settings
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Verdict
@@ -47,7 +47,7 @@ def check_weights(
 
     limit: largest k̂, default 0.7. min_ess: smallest effective sample size; default from the settings.
     """
-    ess = effective_size(weights)
+    ess = compute_ess(weights)
     limit, min_ess = MAX_K_HAT if limit is None else limit, min_ess or settings().effective_draws
     if k_hat <= limit and ess >= min_ess:
         return ""
@@ -73,7 +73,7 @@ def judge_weights(
     if mode is not None and not mode.change <= MAX_MODE_CHANGE_SD:
         step = f"its last step was {float(mode.change):.2g} prior standard deviations"
         reasons = (*reasons, f"The search for the mode did not converge: {step}.")
-    ess = effective_size(weights)
+    ess = compute_ess(weights)
     return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=ess)
 
 

@@ -20,7 +20,7 @@ from bayescal._core.formatting import number
 from bayescal._core.jit import to_value_partial
 from bayescal._core.lazy_jax import Array
 from bayescal._core.renamed import renamed
-from bayescal._core.result_table import ResultTable, as_html, plain_table
+from bayescal._core.result_table import ResultTable, as_html, make_table
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -369,8 +369,8 @@ def effects_table(effects: Iterable[Effect]) -> ResultTable:
         size = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
         count_text = f"one per {first.per}" if first.per else "one" if count == 1 else f"{count}"
         rows.append([effect.name, count_text, size.rstrip(), effect.equation])
-    return plain_table(
-        ["effect", "coefficients", "plausible size", "equation"], rows, left=2, fold=30
+    return make_table(
+        ["effect", "coefficients", "plausible size", "equation"], rows, left=2, width=30
     )
 
 

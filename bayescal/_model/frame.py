@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
-from bayescal._core.lazy_jax import Array, jax, when_imported
+from bayescal._core.lazy_jax import Array, jax, on_import
 from bayescal._core.renamed import renamed
 from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
@@ -142,7 +142,7 @@ class Frame:
         gain = xp.where(is_first, 0.0, xp.where(no_step | is_held, -1.0, linear_gain))
         if index is not None:
             decay, gain = (xp.take(a, index, axis=-1) for a in (decay, gain))
-        return xp.placed(self.order, run_recursion(decay, change * gain))
+        return xp.scatter(self.order, run_recursion(decay, change * gain))
 
     @cached_property
     def _distinct_steps(self) -> tuple[Float[np.ndarray, "u"], Any]:
@@ -164,7 +164,7 @@ class Frame:
         decay = xp.where(is_first, 0.0, xp.exp(-xp.abs(change) / width))
         direction = run_recursion(decay, xp.where(is_first, 0.0, (1.0 - decay) * xp.sign(change)))
         initial_state_decay = run_recursion(decay, xp.where(is_first, 1.0, 0.0))
-        return xp.placed(self.order, direction), xp.placed(self.order, initial_state_decay)
+        return xp.scatter(self.order, direction), xp.scatter(self.order, initial_state_decay)
 
     def select_columns(self, names: Sequence[str]) -> Frame:
         """Return a frame of named columns and known uncertainty, with rates and constants; "time" adds "elapsed"."""
@@ -199,7 +199,7 @@ class Frame:
         return replace(self, columns=columns, path=path) if shifts else self
 
 
-when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
+on_import(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
 
 
 def run_recursion(decay: Float[Any, "*s n"], forcing: Float[Any, "*s n"]) -> Float[Any, "*s n"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._core.xp import special_functions, xp
+from bayescal._core.xp import get_special_functions, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, reference_name
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
@@ -194,7 +194,7 @@ class StudentT(Noise):
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         dof, variance = parameters[DOF], white_variance(parameters, frame)
-        half, gammaln = 0.5 * (dof + 1), special_functions((dof, mean)).gammaln
+        half, gammaln = 0.5 * (dof + 1), get_special_functions((dof, mean)).gammaln
         log_norm = gammaln(half) - gammaln(0.5 * dof) - 0.5 * xp.log(xp.pi * dof * variance)
         return log_norm - half * xp.log1p((y - mean) ** 2 / (dof * variance))
 
@@ -208,7 +208,7 @@ class StudentT(Noise):
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         dof = parameters[DOF]
         squares = residuals**2 / white_variance(parameters, frame)
-        special = special_functions((dof, squares))
+        special = get_special_functions((dof, squares))
         tail = 0.5 * special.betainc(0.5 * dof, 0.5, dof / (dof + squares))
         # Φ⁻¹ of the smaller tail probability avoids the cancellation of 1 − p far in the tail.
         return -xp.sign(residuals) * special.ndtri(xp.maximum(tail, MIN_PROBABILITY))
@@ -261,7 +261,7 @@ class Quantised(Noise):
         sd = xp.sqrt(white_variance(parameters, frame))
         # Reflected to the lower tail, where the difference of two small probabilities does not cancel.
         standardised, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
-        log_tail = special_functions((standardised, half)).log_ndtr
+        log_tail = get_special_functions((standardised, half)).log_ndtr
         upper, lower = log_tail(standardised + half), log_tail(standardised - half)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))); divided by the step it is a density.
         log_probability = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))

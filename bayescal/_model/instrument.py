@@ -18,7 +18,7 @@ import bayescal._model.independent_noise  # registers the built-in noise laws
 import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.lazy_jax import Array
-from bayescal._core.result_table import as_html, plain_table
+from bayescal._core.result_table import as_html, make_table
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, basis_factor, unit_label
@@ -158,7 +158,7 @@ class Instrument:
         columns = [
             [c.name, unit_label(c.unit) if c.unit else "label", c.meaning] for c in self.columns
         ]
-        table = plain_table(["column", "unit", "meaning"], columns, left=3)
+        table = make_table(["column", "unit", "meaning"], columns, left=3)
         effects = self.known.values()
         return as_html([f"{self.name}: {self.title}", table, effects_table(effects)])
 

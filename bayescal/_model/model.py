@@ -57,7 +57,7 @@ class Model(Printed):
     def _format_summary(self) -> str:
         return format_model(self)
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return the columns of a table, one row per coefficient; the plausible size is in the coefficient's unit."""
         rows = [(e, i, c) for e in self.effects for i, c in enumerate(e.coefficients)]
         return {

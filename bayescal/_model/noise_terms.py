@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.lazy_jax import Array, jnp
-from bayescal._core.xp import special_functions
+from bayescal._core.xp import get_special_functions
 from bayescal._data.records import EVEN_STEPS
 from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
@@ -161,7 +161,7 @@ class CorrelatedTerm(ExponentialTerm):
         for rank in range(2, self.rank + 1):
             v = values[self._name("place", rank)]
             # log τ = (1 − u)·log τ' + u·log longest, with u = Φ(v) uniform for standard normal v.
-            fraction = special_functions(v).ndtr(v)
+            fraction = get_special_functions(v).ndtr(v)
             time = time ** (1 - fraction) * self.longest**fraction
         return time
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bayescal._core.errors import ModelError
-from bayescal._core.xp import is_traced, special_functions, xp
+from bayescal._core.xp import get_special_functions, is_traced, xp
 from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
@@ -106,13 +106,13 @@ class LogUniform(_StandardNormalPrior):
             raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
 
     def value(self, v: Any) -> Any:
-        fraction = special_functions(v).ndtr(v)
+        fraction = get_special_functions(v).ndtr(v)
         return self.low * xp.exp(math.log(self.high / self.low) * fraction)
 
     def coordinate(self, value: Any) -> Any:
         """Return the coordinate of a value; finite also for a value at a bound."""
         fraction = xp.log(value / self.low) / math.log(self.high / self.low)
-        return special_functions(value).ndtri(xp.clip(fraction, _TAIL, 1 - _TAIL))
+        return get_special_functions(value).ndtri(xp.clip(fraction, _TAIL, 1 - _TAIL))
 
 
 @static
@@ -129,12 +129,12 @@ class NumpyroPrior(_StandardNormalPrior):
         return getattr(dist, self.name)(**dict(self.parameters))
 
     def value(self, v: Any) -> Any:
-        value = self.distribution.icdf(xp.clip(special_functions(v).ndtr(v), _TAIL, 1 - _TAIL))
+        value = self.distribution.icdf(xp.clip(get_special_functions(v).ndtr(v), _TAIL, 1 - _TAIL))
         return value if is_traced(v) else np.asarray(value)
 
     def coordinate(self, value: Any) -> Any:
         probability = xp.clip(self.distribution.cdf(value), _TAIL, 1 - _TAIL)
-        return special_functions(probability).ndtri(probability)
+        return get_special_functions(probability).ndtri(probability)
 
 
 @static

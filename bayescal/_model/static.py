@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from typing_extensions import dataclass_transform
 
-from bayescal._core.lazy_jax import jax, when_imported
+from bayescal._core.lazy_jax import jax, on_import
 
 _T = TypeVar("_T")
 
@@ -18,7 +18,7 @@ def static(cls: type[_T]) -> type[_T]:
     if cls.__repr__ is object.__repr__:
         cls.__repr__ = format_fields
     frozen_class = dataclass(frozen=True, repr=False)(cls)
-    when_imported(lambda: jax.tree_util.register_static(frozen_class))
+    on_import(lambda: jax.tree_util.register_static(frozen_class))
     return frozen_class
 
 

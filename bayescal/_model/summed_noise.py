@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.jit import compiled
+from bayescal._core.jit import compile_lazily
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._data import unit_conversion
 from bayescal._model.frame import Frame
@@ -153,7 +153,7 @@ class SumOfTerms(Noise, interface=True):
         return np.asarray(mean)[rows], np.asarray(variance)[rows]
 
 
-@compiled
+@compile_lazily
 def _smooth(law: SumOfTerms, values, step, z, precision, weighted):
     return smooth(law.states(values, step, z), precision, weighted)
 

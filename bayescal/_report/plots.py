@@ -23,7 +23,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check, Entry, check, collect_covariates
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import replace_user_file
 from bayescal._core.formatting import number
 from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.unit_conversion import unit_label
@@ -80,7 +80,7 @@ def save(figure: Figure, path: Path) -> Path:
     """Write a figure as a PNG file atomically; raise InputError if the file cannot be written."""
     path = Path(path)
     dpi = figure.dpi
-    with replacing_for_user(path) as partial:
+    with replace_user_file(path) as partial:
         figure.dpi = 150
         FigureCanvasAgg(figure).print_png(partial)  # `savefig` would draw it twice
     figure.dpi = dpi

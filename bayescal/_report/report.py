@@ -26,7 +26,7 @@ from bayescal._core.annex import load_entries, load_entry
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
-from bayescal._core.quoting import template
+from bayescal._core.quoting import load_template
 from bayescal._core.settings import Settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
@@ -191,7 +191,7 @@ def render_page(
         *(list_average_claims, candidates_table, tabulate_check, compute_budget, group_confounded),
         *(group_untested, identity, list_sources),
     )
-    return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
+    return load_template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=parts,

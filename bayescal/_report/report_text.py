@@ -13,8 +13,8 @@ from bayescal._calibration.prior_influence import find_prior_dominated_coefficie
 from bayescal._calibration.storage import list_sources
 from bayescal._calibration.summary import format_rows, is_skewed, summarise_curve, summary
 from bayescal._core.flag import Flag
-from bayescal._core.formatting import interval, number, probability, with_error
-from bayescal._core.result_table import ResultTable, TableColumn, plain_table
+from bayescal._core.formatting import format_interval, format_value, number, probability
+from bayescal._core.result_table import ResultTable, TableColumn, make_table
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.composition import find_response_columns
@@ -74,7 +74,7 @@ def tabulate_ranges(calibration: Calibration) -> ResultTable:
     if readings.has("time"):
         elapsed = np.asarray(calibration.frame.columns["elapsed"])
         add_row("elapsed", "time since the start of a run", elapsed, "s", DERIVED_ROLE)
-    return plain_table(["quantity", "unit", "from", "to", "role"], rows, left=2, fold=1)
+    return make_table(["quantity", "unit", "from", "to", "role"], rows, left=2, width=1)
 
 
 def format_group_sizes(data: dict[str, Any]) -> str:
@@ -93,7 +93,7 @@ def tabulate_files(chapter: Chapter) -> ResultTable:
     if holdout := chapter.data["holdout"]:
         names = f"hold-out: {join_names(holdout['file']) or 'arrays'}"
         rows.append([names, str(holdout["rows"]), join_names(holdout["sha256"])])
-    return plain_table(["file", "readings", "SHA-256"], rows, fold=1)
+    return make_table(["file", "readings", "SHA-256"], rows, width=1)
 
 
 def tabulate_coefficients(chapter: Chapter) -> ResultTable:
@@ -112,9 +112,9 @@ def tabulate_coefficients(chapter: Chapter) -> ResultTable:
         note += " (mostly its prior)" * (key in not_measured)
         note += f" if present ({probability(inclusion)})" * (inclusion < 1)
         intervals = (mean - K * sd, mean + K * sd), ends
-        k2, credible = ("–" if is_held else interval(*bounds, mean, sd) for bounds in intervals)
+        k2, credible = ("–" if is_held else format_interval(*b, mean, sd) for b in intervals)
         k2 = "–" if is_skewed(mean, sd, *ends) else k2
-        value = with_error(mean, K * sd) if is_held or k2 != "–" else f"{credible} (95 %)"
+        value = format_value(mean, K * sd) if is_held or k2 != "–" else f"{credible} (95 %)"
         cells = {"u": "held" if is_held else number(sd, 3), "k2": k2, "credible": credible}
         cells["contraction"] = r["contraction"] if mean == r["mean"] else None
         rows.append({**r, "value": value, "note": note, **cells})
@@ -138,7 +138,7 @@ def tabulate_signed(table: ResultTable, model: Model) -> ResultTable:
     others = [r for r in ungrouped if r["name"] not in names][: MAX_SIGNED_ROWS - len(shapes)]
     rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in others + shapes]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
-    return plain_table(["unknown", f"value ± U (k = {K:g}), or 95 % interval", "unit"], rows)
+    return make_table(["unknown", f"value ± U (k = {K:g}), or 95 % interval", "unit"], rows)
 
 
 def _format_percent(share: float | None) -> str:
@@ -318,7 +318,7 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
         if row["effect"] == effect.name and not {*"[("} & {*name}:
             mean, sd, ends = row["given"].values()
             skewed, unit = is_skewed(mean, sd, *ends), unit_label(row["unit"])
-            value = interval(*ends, mean, sd) if skewed else with_error(mean, sd)
+            value = format_interval(*ends, mean, sd) if skewed else format_value(mean, sd)
             texts.append(f"{name} {value} {unit}".strip() + " (95 %)" * skewed)
     texts[MAX_NAMED:] = [f"{len(texts) - MAX_NAMED} more"] * (len(texts) > MAX_NAMED)
     if texts and effect_name.endswith(")"):  # with the probabilities of its forms

@@ -26,7 +26,7 @@ from bayescal._core.annex import load_entries
 from bayescal._core.errors import InputError
 from bayescal._core.json_data import as_json, read_json
 from bayescal._core.result_table import ResultTable
-from bayescal._core.settings import changed_settings
+from bayescal._core.settings import list_changed_settings
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
@@ -84,7 +84,7 @@ def result(path: SearchPath) -> dict[str, Any]:
             "versions": versions(),
             "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
-            "settings": changed_settings(),
+            "settings": list_changed_settings(),
             "readings": {**_describe_source(final.readings), "groups": _group_data(final.readings)},
             "holdout": None if path.holdout is None else _describe_source(path.holdout),
             "flags": list(final.readings.flags),

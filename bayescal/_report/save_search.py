@@ -71,7 +71,7 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     Raises:
         NotDrawn: a figure could not be drawn.
     """
-    if deadline.current().over:
+    if deadline.current().is_over:
         return
     with drawing(PICTURE), whole_folder(folder, keep_results=True) as hidden:
         from bayescal._report.plots import loop, save, use_own_style

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bayescal._core.atomic_file import list_leftovers, sha256_of, write_advice
+from bayescal._core.atomic_file import compute_sha256, explain_error, list_leftovers
 from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.json_data import as_type, read_json, write_json
+from bayescal._core.json_data import read_json, validate, write_json
 
 MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have a folder each
@@ -77,7 +77,7 @@ def whole_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
         yield hidden
         _move_files(hidden, visible, keep_results)
     except OSError as error:
-        raise InputError(f"the folder {folder} cannot be written: {write_advice(error)}") from error
+        raise InputError(f"folder {folder} cannot be written: {explain_error(error)}") from error
     except InputError as error:  # of a file in it, which the user knows by its place
         raise InputError(str(error).replace(str(hidden), str(folder)), error.problems) from error
     finally:
@@ -107,7 +107,7 @@ def files_of(folder: Path) -> dict[str, str]:
     if not manifest.is_file():
         return {}
     try:
-        hashes = as_type(read_json(manifest)["files"], dict[str, str])
+        hashes = validate(read_json(manifest)["files"], dict[str, str])
         for name in hashes:
             if not is_inside(name):
                 raise ValueError(f"it lists {name!r}, which is not a file of this folder")
@@ -120,7 +120,7 @@ def refuse_mixed(folder: Path, *names: str) -> None:
     """Raise InputError if files (those named, or all) differ from the hashes in the folder's manifest."""
     hashes = {n: d for n, d in files_of(folder).items() if not names or n in names}
     for name, digest in hashes.items():
-        if (folder / name).is_file() and sha256_of(folder / name) != digest:
+        if (folder / name).is_file() and compute_sha256(folder / name) != digest:
             raise InputError(
                 f"{folder / name} differs from its SHA-256 in {MANIFEST}: it was changed, or comes from "
                 f"another run, so that the files of {folder} do not belong together. {REPAIR_ADVICE}"
@@ -134,7 +134,7 @@ def _find_unmodified(folder: Path) -> dict[str, str]:
     except InputError:
         return {}
     present_hashes = {n: d for n, d in hashes.items() if (folder / n).is_file()}
-    return {n: d for n, d in present_hashes.items() if sha256_of(folder / n) == d}
+    return {n: d for n, d in present_hashes.items() if compute_sha256(folder / n) == d}
 
 
 def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
@@ -161,7 +161,7 @@ def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
 def _write_manifest(source: Path, target: Path, keep_results: bool) -> tuple[list[str], list[str]]:
     """Write a manifest of the new files; return the names of files to move, manifest last, and of files to remove."""
     paths, old = sorted(p for p in source.iterdir() if p.is_file()), _find_unmodified(target)
-    new = {p.name: sha256_of(p) for p in paths}
+    new = {p.name: compute_sha256(p) for p in paths}
     if not new:
         return [], [] if keep_results else [*old, *[MANIFEST] * bool(old)]
     write_json({"schema": SCHEMA, "files": (old if keep_results else {}) | new}, source / MANIFEST)

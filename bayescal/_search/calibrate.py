@@ -22,8 +22,8 @@ from bayescal._calibration.predict import HoldoutTest, predict
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
-from bayescal._core.progress import stage
-from bayescal._core.settings import seed_of, settings
+from bayescal._core.progress import track
+from bayescal._core.settings import settings, to_seed
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import flag_fitted_holdout, set_aside
 from bayescal._inference.laplace import NO_START
@@ -99,13 +99,13 @@ def calibrate(
         InputError: a column of `ignore` or `covariates` does not exist; or only one of readings and hold-out data has
             dates.
     """
-    with deadline.until(time_limit):
+    with deadline.limit(time_limit):
         measurements = prepare_readings(model, readings, holdout, keep_spikes, ignore, covariates)
-        options = method, seed_of(seed), reference, max_effects
+        options = method, to_seed(seed), reference, max_effects
         search = StepwiseSearch(*measurements, *options, frozenset(accept_conflicts))
         search.fit_first_step(model, effects, widen_noise)
         follow(search.build_path())
-        with deadline.sooner(discover.SEARCH_TIME_SHARE):
+        with deadline.shorten(discover.SEARCH_TIME_SHARE):
             search.run_search(lambda: follow(search.build_path()))
         return search.fit_path(follow)
 
@@ -144,7 +144,7 @@ class StepwiseSearch:
         candidates = model.effects if self.max_effects > 0 else ()
         self.reconsidered = tuple(e for e in candidates if self.is_reconsidered(e, model))
         model = reduce(sub, self.reconsidered, model)
-        with deadline.finishing():  # whatever the time limit
+        with deadline.suspend():  # whatever the time limit
             step = self.fit_step(model, self.step_method(model))
         deadline.current().defer_interrupt()
         self.max_effects = max(self.max_effects, len(self.reconsidered))
@@ -236,10 +236,10 @@ class StepwiseSearch:
         assert self.library is not None
         with_discovery = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
         previous, steps = None, [start or Structure(), goal]
-        with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
+        with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2) as half:
             steps = steps if self.stopped else find_path(self.library, goal, steps[0])
         for structure in dict.fromkeys(steps):
-            if previous is None or structure == goal or not half.over:
+            if previous is None or structure == goal or not half.is_over:
                 yield previous, structure, self.find_missing(structure) if with_discovery else None
                 previous = structure
 
@@ -362,7 +362,7 @@ class StepwiseSearch:
         """Fit a model, from starting values of φ if given, and check it; return the step."""
         options: dict[str, Any] = {"seed": self.seed, "reference": self.reference, "start": start}
         calibration = fit(model, self.readings, method, strict=False, **options)
-        with stage("checking"):
+        with track("checking"):
             return step_of(calibration, self.holdout, self.accepted_conflicts)
 
     def summarise_search(self, *, complete: bool = False, stopped: str = "") -> Search | None:

@@ -12,11 +12,11 @@ from scipy.special import expit
 
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, probability, with_error
-from bayescal._core.progress import stage
+from bayescal._core.formatting import WIDTH, format_value, number, probability
+from bayescal._core.progress import track
 from bayescal._core.renamed import renamed
-from bayescal._core.result_table import Printed, ResultTable, plain_table
-from bayescal._core.settings import seed_of, settings
+from bayescal._core.result_table import Printed, ResultTable, make_table
+from bayescal._core.settings import settings, to_seed
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.method import Method
@@ -73,7 +73,7 @@ class Channels(Printed):
     def _format_summary(self) -> str:
         return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return columns with a row for each channel's last model: errors, and mean sizes of effects in their units."""
         last_steps = [path.final for path in self.search_paths.values()]
         return {
@@ -91,7 +91,7 @@ class Channels(Printed):
 
     def _list_rows(self) -> list[list[str]]:
         """Return the printed rows, with a column for each channel; the first row is the header."""
-        paths, columns = self.search_paths.values(), self._columns()
+        paths, columns = self.search_paths.values(), self._list_columns()
         new_run_differs = any(p.final.rmse > NEW_RUN_RATIO * p.final.rmse_fitted for p in paths)
         has_holdout = any(p.holdout is not None for p in paths)
         names = ["as fitted, first model", "as fitted, last", *["new run, last"] * new_run_differs]
@@ -100,7 +100,7 @@ class Channels(Printed):
         rows += [[name, *map(number, columns[name])] for name in names]
         for name in self.effects:
             sizes = (_size(path, name) for path in paths)
-            rows.append([name, *("–" if m is None else with_error(m, sd) for m, sd in sizes)])
+            rows.append([name, *("–" if m is None else format_value(m, sd) for m, sd in sizes)])
         return [*rows, ["noise", *columns["noise"]]]
 
 
@@ -110,7 +110,7 @@ def _split_table(rows: Sequence[Sequence[str]]) -> Iterator[ResultTable]:
     count = max(1, (WIDTH + 2 - name_width) // max(widths))
     for i in range(1, len(rows[0]), count):
         header, *body_rows = ([row[0], *row[i : i + count]] for row in rows)
-        yield plain_table(header, body_rows)
+        yield make_table(header, body_rows)
 
 
 def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
@@ -178,30 +178,30 @@ def calibrate_channels(
                 "give both for each channel"
             )
     channels, count, paths = list[_Channel](), len(models), dict[str, SearchPath]()
-    with deadline.until(time_limit):
+    with deadline.limit(time_limit):
         for i, (name, model) in enumerate(models.items(), 1):
             pair = readings[name], None if holdout is None else holdout[name]
             used_records = prepare_readings(model, *pair, keep_spikes, ignore, covariates)
-            options = method, seed_of(seed), reference, max_effects
+            options = method, to_seed(seed), reference, max_effects
             search = StepwiseSearch(*used_records, *options, frozenset(accept_conflicts))
-            with stage(f"{name}, channel {i} of {count}"):
+            with track(f"{name}, channel {i} of {count}"):
                 search.fit_first_step(model, effects, widen_noise)
             channels.append(_Channel(name, search))
             follow(name, search.build_path())
         unit = _Unit(channels)
         for i, c in enumerate(channels):
-            with stage(c.name), deadline.sooner(1 / (2 * count - i)):
+            with track(c.name), deadline.shorten(1 / (2 * count - i)):
                 c.set_first_prior(unit.cavity_priors(c))
                 c.search.run_search(lambda c=c: follow(c.name, c.search.build_path()))
                 with suppress(deadline.TimeIsUp):
                     c.evaluate_shapes()
         shared = unit.combine_evidence()
-        with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
+        with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2):
             for name in unit.propagate_evidence():
                 follow(name, unit.channels[name].search.build_path())
                 shared = unit.combine_evidence()
         for i, c in enumerate(channels):
-            with stage(f"{c.name}, channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
+            with track(f"{c.name}, channel {i + 1} of {count}"), deadline.shorten(1 / (count - i)):
                 paths[c.name] = c.search.fit_path(partial(follow, c.name))
     return Channels(paths, tuple(shared.values()))
 
@@ -271,7 +271,7 @@ class _Channel:
         structures.visited.update({w.structure: correct_fit(w) for w in unchanged_fits})
         fits, changes = sorted(old.visited.values(), key=lambda w: -w.log_posterior), {}
         for fit in reversed(fits[:BEAM_STRUCTURES]):
-            deadline.current().ask()
+            deadline.current().raise_if_over()
             current = structures.evaluate(fit.structure)
             changes[fit.structure.effects & changed] = current.log_evidence - fit.log_evidence
         structures.evaluate(Structure())
@@ -344,7 +344,7 @@ class _Unit:
         for _ in range(MAX_ROUNDS):
             any_changed = False
             for c in self.channels.values():
-                with stage(c.name):
+                with track(c.name):
                     is_changed = c.update_prior(self.cavity_priors(c))
                 if is_changed:
                     any_changed = True

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import check_scale
-from bayescal._core.null_space import UNDECIDED_SHARE
+from bayescal._core.null_space import UNDECIDED_RATIO
 from bayescal._core.settings import settings
 from bayescal._inference.linear_model import find_amplitude, linearise_model
 from bayescal._model.effect import Effect, Role
@@ -281,7 +281,7 @@ def classify_candidate(candidate: Candidate, finding: set[str], effect: Effect |
     scales = (s.high for s in effect.shapes if s.name == effect.measure)
     plausible_size = next(scales, effect.coefficients[0].size)
     # Visible: ten plausible sizes would be found; one, where nuisances take all but a hundredth of the information.
-    is_hidden = (candidate.visibility or 0.0) < UNDECIDED_SHARE
+    is_hidden = (candidate.visibility or 0.0) < UNDECIDED_RATIO
     max_size, detectable = MAX_DETECTABLE_SIZES * plausible_size, candidate.minimum_detectable
     if detectable is None or detectable > (plausible_size if is_hidden else max_size):
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")

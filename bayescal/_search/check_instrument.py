@@ -12,9 +12,9 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.judgement import check_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
-from bayescal._core.formatting import number, with_error
+from bayescal._core.formatting import format_value, number
 from bayescal._core.lazy_jax import jax, jnp
-from bayescal._core.progress import stage
+from bayescal._core.progress import track
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
@@ -63,7 +63,7 @@ class InstrumentCheck(Printed):
 
     def _list_parts(self) -> list[str | ResultTable]:
         def format_estimate(row: dict[str, Any]) -> str:
-            return "–" if row["mean"] is None else with_error(row["mean"], row["sd"])
+            return "–" if row["mean"] is None else format_value(row["mean"], row["sd"])
 
         unit = unit_label(self.unit)
         columns = (
@@ -71,11 +71,11 @@ class InstrumentCheck(Printed):
             TableColumn("adds at most", "adds", number, unit or "1", name="adds"),
             TableColumn("simulated", "truth", number, name="truth"),
             TableColumn("estimated", format_estimate, name=""),
-            *(TableColumn(name, show=None) for name in ("kind", "mean", "sd")),
+            *(TableColumn(name, format=None) for name in ("kind", "mean", "sd")),
             TableColumn("unit", "unit", unit_label),
             TableColumn("remark", "remark"),
         )
-        tables = [ResultTable(columns, self.to_json_data()["rows"], fold=24)] if self.rows else []
+        tables = [ResultTable(columns, self.to_json_data()["rows"], width=24)] if self.rows else []
         messages = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
         error_text = f"{len(self.errors)} error(s)" if self.errors else "no error"
         summary = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
@@ -117,7 +117,7 @@ def check_instrument(
     baseline = Model(instrument, instrument.effects, instrument.noise)
     trials = [(baseline, instrument.effects)]
     trials += [(baseline + e, (e,)) for e in instrument.candidates]
-    with stage(f"checking {instrument.name}"):
+    with track(f"checking {instrument.name}"):
         for model, effects in trials:
             is_baseline, names = model is baseline, ", ".join(e.name for e in effects)
             if not is_baseline and (reason := why_untestable(effects[0], readings)) is not None:
@@ -188,7 +188,7 @@ def _fit_simulated(
                 remark = "not identifiable here"
             elif remark == "" and abs(mean - truth) > MAX_ERROR_SD * sd:
                 remark = "not recovered"
-                values_text = f"{number(truth)} simulated, {with_error(mean, sd)} estimated"
+                values_text = f"{number(truth)} simulated, {format_value(mean, sd)} estimated"
                 check.errors.append(f"{name} {remark}: {values_text}")
         name, kind = name + f", one per {u.group}" * (u.group is not None), KINDS[is_baseline]
         check.rows.append(Recovery(name, kind, u.unit, adds, truth, mean, sd, remark))

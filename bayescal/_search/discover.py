@@ -16,7 +16,7 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.sensor_noise import MIN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.formatting import folded, number, probability, with_error
+from bayescal._core.formatting import format_value, number, probability, wrap
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
@@ -155,27 +155,27 @@ class Discovery(Printed):
 
     def _list_parts(self) -> list[str | ResultTable]:
         """Return the summary of missing effects, and the table of candidates in order of probability."""
-        lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
-        lines += map(folded, _describe_findings(self))
+        lines: list[str | ResultTable] = [wrap(claim) for claim in self.equivalent]
+        lines += map(wrap, _describe_findings(self))
         if self.noise:
             laws = ", ".join(str(n) for n in self.noise if n.probability >= MIN_PROBABILITY)
-            lines.append(folded(f"noise law with missing effects (probability): {laws}"))
-        lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
+            lines.append(wrap(f"noise law with missing effects (probability): {laws}"))
+        lines += [self.stopped, *(wrap(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table, power = candidates_table(rows), f"{100 * settings().power:g} %, residuals as noise"
         note = f"± standard uncertainty (k = 1); detectable: size found with probability {power}"
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
-        lines += [folded(f"partly collinear: {', '.join(g)}") for g in group_confounded(rows)]
+        lines += [wrap(f"partly collinear: {', '.join(g)}") for g in group_confounded(rows)]
         by_reason = group_untested(rows).items()
-        lines += [folded(f"not testable, {r}: {', '.join(names)}") for r, names in by_reason]
+        lines += [wrap(f"not testable, {r}: {', '.join(names)}") for r, names in by_reason]
         return [line for line in lines if line]
 
     def _format_summary(self) -> str:
         return "; ".join(_describe_findings(self))
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return columns with a row for each candidate, including those not printed; sizes in `unit`."""
         names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
         names = (*names, "minimum_detectable", "kind", "reason")
@@ -209,12 +209,12 @@ def discover(
     model = calibration.model
     readings = restrict_causes(calibration.readings, model.instrument, ignore, covariates)
 
-    with deadline.until(time_limit):
+    with deadline.limit(time_limit):
         structures, untestable = enumerate_structures(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library = Library(structures)
-        with deadline.sooner(SEARCH_TIME_SHARE):
+        with deadline.shorten(SEARCH_TIME_SHARE):
             stopped = explore(library, max_effects)
         discovery = find_missing(library, Structure(), untestable, stopped)
         latent_model = structures.with_wide_priors(model, discovery.latent)
@@ -237,10 +237,10 @@ def find_missing(
     library: Library, structure: Structure, untestable: Sequence[Candidate], stopped: str
 ) -> Discovery:
     """Find the effects missing from a structure; if time runs out, without computing scores."""
-    with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as limit:
-        limit.ask()
+    with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2) as limit:
+        limit.raise_if_over()
         return summarise_discovery(library, structure, untestable, stopped)
-    with deadline.finishing():
+    with deadline.suspend():
         return summarise_discovery(library, structure, untestable, stopped, with_scores=False)
 
 
@@ -291,7 +291,7 @@ def enumerate_structures(
     layout = bind(model, readings, testable_effects.values(), reference)[0]
     structures = Structures(model, layout, record, testable_effects, laws)
     if include_latent:
-        with deadline.finishing():  # the first model needs them, whatever the time limit
+        with deadline.suspend():  # the first model needs them, whatever the time limit
             structures = with_spans(structures, amplitudes[0] * math.sqrt(record.size))
     return structures, list(untested.values())
 
@@ -435,7 +435,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 
     def format_size(c: Mapping[str, Any]) -> str:
         prefix = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
-        return prefix + with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
+        return prefix + format_value(c["size"] or 0.0, c["size_sd"] or 0.0)
 
     def format_detectable(c: Mapping[str, Any]) -> str:
         return number(None if c["unit"] == "s" else c["minimum_detectable"], 2)
@@ -450,7 +450,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("remark", "kind", lambda kind: REMARKS.get(kind, kind or "")),
     )
     tested_candidates = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]
-    return ResultTable(columns, tested_candidates, fold=29)
+    return ResultTable(columns, tested_candidates, width=29)
 
 
 def is_quiet(c: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import ModelError
-from bayescal._core.quoting import identifier, python_string, python_words
+from bayescal._core.quoting import quote_python, quote_python_comment, to_identifier
 from bayescal._model.frame import strip_rate
 
 SIMPLE_SHARE = 0.97  # share of a free curve's variance from which a simple formula is used
@@ -41,18 +41,18 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     x, curve = np.asarray(frame.position(covariate)) - 0.5, calibration.linear.contribution(name)
     rows = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
     text, basis = _find_closest_formula(x[rows], curve[rows])
-    slot, word = effect.slot, identifier(covariate)[:40]
+    slot, word = effect.slot, to_identifier(covariate)[:40]
     known_effects = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
     base_column = strip_rate(covariate)
-    column = python_string(base_column)
+    column = quote_python(base_column)
     value = f"r[{column}]" if base_column == covariate else f"r.rate({column})"
     if covariate == "elapsed":
         value, column = "r.elapsed", '"time"'
-    label, slot, unit = map(python_string, (f"{slot}.{word}", slot, calibration.unit))
+    label, slot, unit = map(quote_python, (f"{slot}.{word}", slot, calibration.unit))
     size = float(f"{2 * max(curve.std(), 1e-300):.2g}")
     return f"""\
-# {python_words(name)}: {text}
+# {quote_python_comment(name)}: {text}
 import bayescal as bc
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.confounding import find_shifts, mask_widened
-from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, information_nats, is_undecided
+from bayescal._core.null_space import UNDECIDED_NATS, Spans, compute_nats, is_undecided, project_out
 from bayescal._data.measurements import Measurements
 from bayescal._inference.gaussian import compute_column_scales
 from bayescal._inference.linear_model import RANK_TOLERANCE, LinearModel, linearise_at_priors
@@ -132,10 +132,10 @@ def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tup
 
 def find_equivalents(spans: Spans) -> list[Equivalent]:
     """Return minimal sets of two or three collinear candidates, and candidates in the span of the model's columns."""
-    sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
-    spanned_names = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
+    sets = [Equivalent((name,), coefficients) for name, coefficients in spans.model_sums.items()]
+    spanned_names = [n for n in spans.columns if spans.is_spanned(n, {*spans.columns} - {n})]
     for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned_names):
-        for others in itertools.combinations([n for n in spans.left if n != name], count):
+        for others in itertools.combinations([n for n in spans.columns if n != name], count):
             subsets, members = itertools.combinations(others, count - 1), (name, *others)
             is_spanned = spans.is_spanned(name, others)
             if not is_spanned or any(spans.is_spanned(name, subset) for subset in subsets):
@@ -186,7 +186,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
             if {*equivalent.effects} <= {*candidates}:
                 first, *others = (columns[n].without_model for n in equivalent.effects)
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
-                information = information_nats(beyond(first, span))
+                information = compute_nats(project_out(first, span))
                 if information > result[equivalent].get("nats", UNDECIDED_NATS):
                     result[equivalent] = {"cure": "test", "experiment": name, "nats": information}
     structures.experiments.update(result)

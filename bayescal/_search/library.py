@@ -131,7 +131,7 @@ class Library:
         """
         parts, size = [], linear.problem.record.size
         for name, candidate_points in itertools.groupby(points, lambda p: p.name):
-            deadline.current().ask()
+            deadline.current().raise_if_over()
             columns = self._columns_at(linear, name, list(candidate_points), corrections)
             parts.append(columns.reshape(-1, size))
         return parts[0].T if len(parts) == 1 else np.concatenate([*parts, np.empty((0, size))]).T

@@ -18,7 +18,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.errors import ModelError
 from bayescal._core.parallel import run_on_one_thread
-from bayescal._core.progress import stage
+from bayescal._core.progress import track
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._inference.least_squares import LeastSquares
@@ -73,7 +73,7 @@ class NextExperiment(Printed):
         )
         lines: list[str | ResultTable] = [
             f"to tell apart: {', '.join(self.members)}",
-            ResultTable(columns, self.experiments, fold=25),
+            ResultTable(columns, self.experiments, width=25),
         ]
         if self.experiments[0].minimum < VERY_STRONG_NATS:
             lines.append(
@@ -112,12 +112,12 @@ def next_experiment(
             f"Instrument {instrument.name!r} lists no experiment: give readings of feasible campaigns, "
             "next_experiment(calibration, effects, {'slower': readings, …})"
         )
-    with stage("fitting the model with each effect"):
+    with track("fitting the model with each effect"):
         method = LeastSquares(draws=POSTERIOR_DRAWS)
         options: dict[str, Any] = {"reference": calibration.reference, "strict": False}
         model, fitted_readings = calibration.model, calibration.readings
         fits = {e.name: fit(model + e, fitted_readings, method, **options) for e in candidates}
-    with stage("predicting each experiment"):
+    with track("predicting each experiment"):
         campaigns = list[Experiment]()
         for name, readings in records.items():
             predictions = {n: predict_campaign(c, readings) for n, c in fits.items()}

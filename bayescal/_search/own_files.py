@@ -11,7 +11,7 @@ from traceback import extract_tb
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from bayescal._core.atomic_file import sha256_of
+from bayescal._core.atomic_file import compute_sha256
 from bayescal._core.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def run_file(path: Path) -> ModuleType:
     """
     if not path.is_file():
         raise InputError(f"there is no file {path}")
-    key = file, _ = str(path.resolve()), sha256_of(path)
+    key = file, _ = str(path.resolve()), compute_sha256(path)
     if key not in _MODULES:
         module = _MODULES[key] = ModuleType(path.stem)
         module.__file__ = file

@@ -69,7 +69,7 @@ class Posterior:
         """Return, for each structure, the probability of each family: equivalents share it by their prior odds."""
 
         def shares_in(s: Structure) -> dict[str, float]:
-            sets, odds = self.space.spans.generators(s.effects), self.space.log_odds
+            sets, odds = self.space.spans.find_minimal_sets(s.effects), self.space.log_odds
             weights = softmax([sum(odds[n] for n in names) for names in sets])
             return _sum_by_name(map(self.space.families, sets), weights)
 

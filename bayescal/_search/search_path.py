@@ -16,7 +16,7 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.judgement import multimodality
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.predict import HoldoutTest
-from bayescal._core.formatting import folded, number, probability
+from bayescal._core.formatting import number, probability, wrap
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
@@ -208,10 +208,10 @@ class SearchPath(Printed):
             family = self.final.calibration.model.effect(name).family_name
             text = f"{format_forms(name, family, shares)}, probability {probability(p)}"
             texts.setdefault(next(h for least, h in heads.items() if p >= least), []).append(text)
-        lines += [folded(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
+        lines += [wrap(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
         latent = self.final.discovery.latent if self.final.discovery else ()
         names = [n for n in latent if n in self.final.calibration.model.names]
-        return lines + [folded(LATENT_NOTE + ", ".join(names))] * bool(names)
+        return lines + [wrap(LATENT_NOTE + ", ".join(names))] * bool(names)
 
     @property
     def rows(self) -> list[dict[str, Any]]:

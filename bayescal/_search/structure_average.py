@@ -19,9 +19,9 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core import deadline
-from bayescal._core.importance_weights import resample, smoothed
+from bayescal._core.importance_weights import resample, smooth
 from bayescal._core.parallel import run_on_one_thread
-from bayescal._core.progress import stage
+from bayescal._core.progress import track
 from bayescal._core.settings import settings
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
@@ -108,9 +108,9 @@ def average_models(
     if len(shares) < 2:
         return last, shares
     random, parts = np.random.default_rng(seed), list[tuple[Model, _Values]]()
-    with stage("averaging over structures"):
+    with track("averaging over structures"):
         for share in shares:
-            deadline.current().ask()
+            deadline.current().raise_if_over()
             count = max(1, round(DRAW_COUNT * share.probability))
             if frozenset(share.effects) == last_effects:
                 # The last structure was sampled already: take from its draws, without repetition if there are enough.
@@ -138,7 +138,7 @@ def add_latent_effects(
     unknowns shifted by their regression on them; effects of one span have wide priors, since their sizes are unknown.
     """
     latent = structures.latent_effects(structure)
-    spanning = structures.spans.spanning(structure.effects)
+    spanning = structures.spans.find_spanning(structure.effects)
     if not latent:
         return last, in_use
     names = [n for n in structures.candidates if n in latent | spanning]
@@ -208,7 +208,7 @@ def _draw_structure(fit: EvaluatedStructure, count: int, probability: float, see
     """Draw from a structure about its mode, by importance sampling."""
     # All structures together have as many proposals as a single one would: the sampling error is about the same.
     sample = draw_weighted(fit.problem, fit.mode, seed, None, MAX_ROUNDS, probability=probability)
-    weights, _ = smoothed(sample.log_weight)
+    weights, _ = smooth(sample.log_weight)
     indices = resample(weights, count, seed)
     return _collect_draws(fit.problem.layout, sample.x[indices], sample.v[indices])
 

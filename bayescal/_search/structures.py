@@ -214,7 +214,7 @@ class Structures:
 
     def latent_effects(self, structure: Structure) -> frozenset[str]:
         """Return the candidates that these readings cannot separate from the effects of a structure."""
-        return self.spans.implied(structure.effects)
+        return self.spans.find_implied(structure.effects)
 
     def with_wide_priors(self, model: Model, names: Iterable[str]) -> Model:
         """Return a model with further candidates, under wide priors since readings do not determine their sizes."""
@@ -227,7 +227,7 @@ class Structures:
     def equivalents_by_effect(self, structure: Structure) -> dict[str, frozenset[str]]:
         """Return, for each effect of a structure, the candidates that could replace it on these readings."""
         effects = structure.effects
-        sets = self.spans.generators(effects)
+        sets = self.spans.find_minimal_sets(effects)
         return {n: frozenset().union(*(s - effects for s in sets if n not in s)) for n in effects}
 
     def reported_families(self, structure: Structure) -> frozenset[str]:
@@ -303,7 +303,7 @@ class Structures:
 
         @cache
         def fit_law(fit: EvaluatedStructure, name: str) -> ResidualFit:
-            deadline.current().ask()
+            deadline.current().raise_if_over()
             # Residuals of two structures are similar: the search from the other's maximum takes fewer steps.
             previous = fits.get(name, NO_FIT)
             fits[name] = fit_to_residuals(laws[name], self.linearise(fit).at_rest, previous)

@@ -78,7 +78,7 @@ class Undetermined(Printed):
     def _format_summary(self) -> str:
         return f"{len(self.combinations)} combinations not determined, {len(self.add)} poses to add"
 
-    def _columns(self) -> dict[str, list[str]]:
+    def _list_columns(self) -> dict[str, list[str]]:
         return {"combination": list(self.combinations)}
 
 

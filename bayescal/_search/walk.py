@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from bayescal._core import deadline
 from bayescal._core.parallel import run_on_one_thread
-from bayescal._core.progress import stage, tell
+from bayescal._core.progress import notify, track
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import MAX_STARTS, ScoredPoint, Scorer, log_mean_bayes_factor
@@ -49,23 +49,23 @@ def explore(
     """
     started, last_call, structures, reason = time.monotonic(), 0.0, library.structures, ""
     limit = deadline.current()
-    with deadline.finishing():
+    with deadline.suspend():
         structures.evaluate(Structure())
     limit.defer_interrupt()
     try:
-        with stage("looking for missing effects"):
-            limit.ask()
+        with track("looking for missing effects"):
+            limit.raise_if_over()
             for _ in beam_search(library, max_effects, start):
                 if time.monotonic() > last_call + FOLLOW_SECONDS:
                     follow()
                     last_call = time.monotonic()
-                limit.ask()
+                limit.raise_if_over()
     except deadline.TimeIsUp as stop:
         reason = (STOPPED if limit.interrupted else OUT_OF_TIME).format(time.monotonic() - started)
         if len(structures.visited) == 1:
             reason = NOT_BEGUN.format(stop)
         if limit.interrupted:
-            tell("interrupted: fitting the best model so far; Ctrl-C again ends without a result")
+            notify("interrupted: fitting the best model so far; Ctrl-C again ends without a result")
     follow()
     library.cached_columns.clear()
     structures.clear_cache()
@@ -127,7 +127,7 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
     """Return the path from one structure to a larger one; each step has the highest log posterior, fitted or scored."""
     structures, steps, fit = library.structures, [start or Structure()], None
     while True:
-        deadline.current().ask()
+        deadline.current().raise_if_over()
         current = steps[-1]
         fit = structures.evaluate(current, fit)
         if current == goal:

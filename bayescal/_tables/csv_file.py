@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import replace_user_file
 from bayescal._core.errors import InputError
-from bayescal._core.quoting import csv_cell, csv_cell_read
+from bayescal._core.quoting import quote_cell, unquote_cell
 from bayescal._tables.cells import MAX_INVALID_ROWS, TEXT, is_missing, parse_date, to_number
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, check_width, unusable
 
@@ -83,7 +83,7 @@ class CsvText:
         """Return the table of the readings, with `further_notes` after the file's own notes."""
         return Table(
             self.file,
-            tuple(Header.parse(csv_cell_read(text)) for text in self.header),
+            tuple(Header.parse(unquote_cell(text)) for text in self.header),
             len(self.reading_rows),
             self.load,
             self.decimal,
@@ -112,7 +112,7 @@ class CsvText:
             for position, is_number in columns.items():
                 texts = fields[position :: len(self.header)]
                 if not is_number:
-                    texts = [csv_cell_read(text.strip()) for text in texts]
+                    texts = [unquote_cell(text.strip()) for text in texts]
                 parts[position].append(np.array(texts, TEXT))
         return {position: np.concatenate(pieces) for position, pieces in parts.items()}
 
@@ -400,16 +400,16 @@ def write(
         )
     names = [name if units[name] is None else f"{name} [{units[name]}]" for name in columns]
     cells = (
-        map(csv_cell, values.tolist())
+        map(quote_cell, values.tolist())
         if values.dtype.kind in "OU"
         else ("" if value != value else value for value in values.tolist())
         for values in columns.values()
     )
     with (
-        replacing_for_user(path) as partial,
+        replace_user_file(path) as partial,
         partial.open("w", encoding="utf-8", newline="") as file,
     ):
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(map(csv_cell, names))
+        writer.writerow(map(quote_cell, names))
         writer.writerows(zip(*cells, strict=True))
     return path

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict
 
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import replace_user_file
 from bayescal._core.json_data import read_toml
 
 
@@ -44,7 +44,7 @@ def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
     for name, table in mapping.items():
         if table and isinstance(table, Mapping):
             lines += ["", f"[{name}]", *(f"{_quote(k)} = {_quote(v)}" for k, v in table.items())]
-    with replacing_for_user(path) as partial:
+    with replace_user_file(path) as partial:
         partial.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 

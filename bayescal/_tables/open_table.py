@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from bayescal._core.annex import load_entry
-from bayescal._core.atomic_file import sha256_of
+from bayescal._core.atomic_file import compute_sha256
 from bayescal._core.errors import InputError
-from bayescal._core.quoting import one_line
+from bayescal._core.quoting import to_printable
 from bayescal._tables.csv_file import parse_text
 from bayescal._tables.raw_table import Table, format_bytes, unusable
 
@@ -34,7 +34,7 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
         if count > 1:
             raise InputError(f"{path.name!r} was given {count} times: give each file once")
     name_counts, total_size = Counter(path.name for path in paths), 0
-    names = [one_line(path.name if name_counts[path.name] == 1 else path) for path in paths]
+    names = [to_printable(path.name if name_counts[path.name] == 1 else path) for path in paths]
     for path, name in zip(paths, names, strict=True):
         with _convert_os_errors(path):
             size = path.stat().st_size
@@ -87,4 +87,4 @@ def open_table(
             openers = {".xlsx": formats.open_excel, ".mat": formats.open_matlab}
             openers |= {".parquet": formats.open_parquet, ".nc": formats.open_netcdf}
             table = openers[suffix](path, name, max_bytes)
-        return replace(table, sha256=sha256_of(path))
+        return replace(table, sha256=compute_sha256(path))

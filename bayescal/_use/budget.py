@@ -22,7 +22,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.prior_influence import find_prior_dominance, variance_by_origin
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import folded, number, with_error
+from bayescal._core.formatting import format_value, number, wrap
 from bayescal._core.json_data import as_json
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
@@ -160,13 +160,13 @@ class Budget(Printed):
         expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {of_reading}."
         coverage = f"For 95 % coverage, from the posterior draws: k = {b.k_95:.2f}, U = {u_95}."
         parts = [
-            folded(f"Uncertainty budget of {b.stimulus} at {b.place}"),
+            wrap(f"Uncertainty budget of {b.stimulus} at {b.place}"),
             by_coefficient,
-            folded(f"{SHARES}{note * (omitted > 0)}", ""),
+            wrap(f"{SHARES}{note * (omitted > 0)}", ""),
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {total}.",
-            folded(f"{expanded} {coverage}", ""),
-            folded(" ".join(b.notes), ""),
+            wrap(f"{expanded} {coverage}", ""),
+            wrap(" ".join(b.notes), ""),
         ]
         return [line for part in parts for line in (part, "")][:-1]
 
@@ -174,7 +174,7 @@ class Budget(Printed):
         b = self.in_output_unit()
         return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit_label(b.unit)} (k = {self.k:g})"
 
-    def _columns(self) -> dict[str, list[Any]]:
+    def _list_columns(self) -> dict[str, list[Any]]:
         """Return the columns of a table with a row per coefficient, in fixed units."""
         names = [f.name for f in fields(Contribution)]
         return {name: [getattr(c, name) for c in self.coefficients] for name in names}
@@ -197,7 +197,7 @@ class Budget(Printed):
         )
 
         def estimate(c: Contribution) -> str:
-            return f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip()
+            return f"{format_value(c.value, c.uncertainty)} {unit_label(c.unit)}".strip()
 
         by_coefficient = (
             TableColumn("coefficient", lambda c: c.name),

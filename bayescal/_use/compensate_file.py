@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import replace_user_file
 from bayescal._core.errors import InputError
-from bayescal._core.quoting import csv_cell, csv_line
+from bayescal._core.quoting import format_csv_line, quote_cell
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import find_problems, find_repeated_rows, flags_of
@@ -111,7 +111,7 @@ def compensate_file(
     read_options |= {"remembered": compensator.calibration.readings.sources, "epoch": about.epoch}
     how = {"local_gravity": local_gravity, "missing": missing, "only": True, **read_options}
     options = ReadOptions.of(expected, **how)
-    with replacing_for_user(out) as partial:
+    with replace_user_file(out) as partial:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.restrict_to(table)
@@ -198,7 +198,7 @@ def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
     """Return a line of a text file with further fields, quoted and separated as its own."""
     content = line.decode().rstrip("\r\n")
     end = line.decode()[len(content) :] or "\n"
-    return content + text.separator + csv_line(fields, text.separator) + end
+    return content + text.separator + format_csv_line(fields, text.separator) + end
 
 
 def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
@@ -219,7 +219,7 @@ def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, hea
     loaded = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")
-        writer.writerow(map(csv_cell, [*(header.raw for header in table.headers), *added.headers]))
-        texts = [map(csv_cell, loaded[i].values.tolist()) for i in range(len(table.headers))]
+        writer.writerow(map(quote_cell, [*(h.raw for h in table.headers), *added.headers]))
+        texts = [map(quote_cell, loaded[i].values.tolist()) for i in range(len(table.headers))]
         rows = zip(*texts, added.cells(), strict=True)
         writer.writerows([*cells, *added_cells] for *cells, added_cells in rows)

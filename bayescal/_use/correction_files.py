@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from bayescal._core.annex import load_entries
 from bayescal._core.errors import InputError
 from bayescal._core.inverse import MAX_NEWTON_STEPS
-from bayescal._core.json_data import json_text
-from bayescal._core.quoting import identifier, number_text, python_string, template
+from bayescal._core.json_data import format_json
+from bayescal._core.quoting import format_digits, load_template, quote_python, to_identifier
 from bayescal._data.records import MAX_GAP_WINDOWS, RATE_WINDOW_S
 from bayescal._use.compensation_program import (
     INPUT_KINDS,
@@ -62,14 +62,14 @@ def render_program(
         program = replace(program, inputs=tuple(i for i in program.inputs if i.name in needed))
     fields: dict[str, str] = {}
     for i in program.inputs:
-        field = identifier(i.name, _OWN_WORDS | set(fields.values()))
+        field = to_identifier(i.name, _OWN_WORDS | set(fields.values()))
         fields[i.name] = f"{field}_" if re.fullmatch(r"t\d+", field) else field
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
     cholesky = program.cholesky_factor
-    factor = [number_text(cholesky[i, j]) for i in range(len(cholesky)) for j in range(i + 1)]
+    factor = [format_digits(cholesky[i, j]) for i in range(len(cholesky)) for j in range(i + 1)]
     expected, gradient = (generate_statements(program.graph, o, names, language) for o in outputs)
-    filters = {"comment": language.escape_comment, "quoted": python_string}
-    return template("bayescal._use", language.template, filters).render(
+    filters = {"comment": language.escape_comment, "quoted": quote_python}
+    return load_template("bayescal._use", language.template, filters).render(
         p=program,
         about=program.about,
         name=name,
@@ -90,7 +90,7 @@ def _record_variables(program: CompensationProgram, fields: Mapping[str, str]) -
     columns = {i.column: (fields[i.name], i.unit) for i in by_kind["column"]}
     for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
         names = {*_OWN_WORDS, *fields.values(), *(name for name, _ in columns.values())}
-        columns.setdefault(i.column, (identifier(i.column, names), "degC"))
+        columns.setdefault(i.column, (to_identifier(i.column, names), "degC"))
     lags = by_kind["lag"] + by_kind["lag slope"]
     window = max((i.tau or RATE_WINDOW_S for i in by_kind["rate"]), default=0.0)
     return {
@@ -122,7 +122,7 @@ def include_guard(name: str, *contents: Any) -> str:
 def render_json(sensors: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
     """Render a single correction as JSON, always with its uncertainty."""
     (correction,) = sensors.values()
-    return json_text(correction.to_json_data(), indent=1)
+    return format_json(correction.to_json_data(), indent=1)
 
 
 def wrap_writer(write: Callable[..., str], *arguments: Any) -> Writer:
@@ -161,8 +161,8 @@ def sensor_name(name: str | None, instrument: str) -> str:
         InputError: the given name is not a valid identifier.
     """
     if name is None:
-        return identifier(instrument)
-    if identifier(name.lower()) != name.lower():
+        return to_identifier(instrument)
+    if to_identifier(name.lower()) != name.lower():
         raise InputError(
             f"{name!r} is not a valid name in C and Python: use letters, digits and _, with a letter first, and no "
             "reserved word (example: gyro_x)"

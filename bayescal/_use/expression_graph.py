@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayescal._core.errors import ModelError
-from bayescal._core.quoting import c_comment, python_words
+from bayescal._core.quoting import quote_c_comment, quote_python_comment
 
 
 class NotExportable(ModelError):
@@ -410,13 +410,13 @@ class Language:
 PYTHON = Language(
     *("python", "", "math.nan", "math.inf", "{} = {}"),
     template="compensator.py.jinja",
-    escape_comment=python_words,
+    escape_comment=quote_python_comment,
 )
 C = Language(
     *("c", "(BAYESCAL_REAL)", "NAN", "INFINITY", "const BAYESCAL_REAL {} = {};"),
     input="in->{}",
     template="compensator.h.jinja",
-    escape_comment=c_comment,
+    escape_comment=quote_c_comment,
 )
 LANGUAGES = {"c": C, "python": PYTHON}
 

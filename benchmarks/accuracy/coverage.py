@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._core.importance_weights import smoothed
+from bayescal._core.importance_weights import smooth
 from bayescal._inference import sampled_products
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
@@ -95,7 +95,7 @@ def drawn_one_by_one(
     samples, k_hats = [], []
     for index, data_set in enumerate(data):
         draws, of = drawn_once(model, data_set, method, seed + index)
-        weights, k_hat = smoothed(draws.log_weight)
+        weights, k_hat = smooth(draws.log_weight)
         unknowns = Unknowns.of(*of)
         values = unknowns.values(draws.x, draws.v)
         samples.append(Posterior(weights, {n: unknowns.select(values, n) for n in unknowns.by_key}))

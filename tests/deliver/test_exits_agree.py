@@ -11,7 +11,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import inclinometer, mems_gyro, still_sensor
-from tests.support.export_check import identifier, needs_compiler, run_c, tilted
+from tests.support.export_check import needs_compiler, run_c, tilted, to_identifier
 from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search
 from tests.support.tiers import slow_but
@@ -141,8 +141,8 @@ def test_c_fed_row_by_row(case, tmp_path: Path) -> None:
     if not compensator.history:
         pytest.skip("nothing of the past is needed: every reading by itself, as test_export has it")
     header = compensator.export(tmp_path / "calibration.h")
-    name, fed = identifier(compensator.program.about.instrument), columns(compensator)
-    fill = " ".join(f"now.{identifier(c)} = row[{2 + k}];" for k, c in enumerate(fed))
+    name, fed = to_identifier(compensator.program.about.instrument), columns(compensator)
+    fill = " ".join(f"now.{to_identifier(c)} = row[{2 + k}];" for k, c in enumerate(fed))
     source = DRIVER.format(header=header.name, width=2 + len(fed), name=name, fill=fill)
     rows = np.column_stack([readings["output"], steps(readings), *(readings[c] for c in fed)])
     twice = np.concatenate([rows, rows])  # a run after a run begins anew

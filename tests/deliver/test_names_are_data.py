@@ -20,7 +20,7 @@ import bayescal as bc
 from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
 from tests.support.hostile_names import CODE, PIECES
-from tests.support.inside import CompensationProgram, as_type, dcc_of, text_of
+from tests.support.inside import CompensationProgram, dcc_of, text_of, validate
 
 HOSTILE = st.lists(st.sampled_from(PIECES) | st.text(max_size=3), max_size=6).map("".join)
 TEXT = HOSTILE.map(lambda name: name.replace("\ud800", "?"))  # what a file can hold
@@ -71,7 +71,7 @@ def program_of(name: Callable[[str], str]) -> CompensationProgram:
             "noise": 2,
         },
     }
-    return as_type(data, CompensationProgram)
+    return validate(data, CompensationProgram)
 
 
 def corrected(name: str, unit: str = "g") -> bc.VectorCorrection:

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal.workshop import number, summary, unit_label, with_error
+from bayescal.workshop import format_value, number, summary, unit_label
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from tests.support.contract_cases import Case
 from tests.support.inside import Triad, dcc_of, find_d_si, result_of, screen_of, text_of
@@ -91,7 +91,7 @@ def in_result(trail: bc.SearchPath) -> dict[str, str]:
     data = json.loads(json.dumps(result_of(trail)))
     rows = (*data["coefficients"], *data["hyperparameters"])
     used = ((row["name"], row["averaged"] or row) for row in rows)
-    return {name: with_error(row["mean"], row["sd"]) for name, row in used}
+    return {name: format_value(row["mean"], row["sd"]) for name, row in used}
 
 
 @pytest.mark.parametrize("name", slow_but(["mems_gyro"], SOMETIMES))
@@ -111,12 +111,12 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
     for row in summary(average)[0]:
         unknown, unit = row["name"], row["unit"]
         one, given = Stated(row["mean"], row["sd"]), Stated(*[*row["given"].values()][:2])
-        said, shown = with_error(*one), with_error(*given)  # in tables given that it is there
+        said, shown = format_value(*one), format_value(*given)  # if it is there
         # What only rivals of the final model have is not in its own tables; a large group is one line of the page.
         assert data.get(unknown, said) == said
         assert screen.get(unknown, shown) == shown or "skewed" in screen[unknown]
         if unknown in page and "95 %" not in page[unknown][0]:
-            assert page[unknown] == (with_error(given.value, 2 * given.u), unit_label(unit))
+            assert page[unknown] == (format_value(given.value, 2 * given.u), unit_label(unit))
         factor, _ = find_d_si(unit)
         rounding = 0.1 * factor * one.u  # to two digits of U
         assert certificate[unknown] == pytest.approx([factor * v for v in one], abs=rounding)
@@ -196,7 +196,7 @@ def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
     assert json.loads(json_)["terms"] == data["terms"]
     assert json.loads(json_)["covariance"] == data["covariance"]
     for row in correct.rows:
-        assert screen[row.name] == with_error(row.value, row.uncertainty)
+        assert screen[row.name] == format_value(row.value, row.uncertainty)
         words = f"{row.value:.9g} +- {row.uncertainty:.3g}"
         assert words in c and words in python and repr(row.value) in c and repr(row.value) in python
     # Coefficients are the correction in other words, where a new run brings nothing; u of the form is the correction's.
@@ -204,7 +204,7 @@ def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
     for i, a in enumerate("xyz"):
         factor = 1e-3 if correct.unit == "g" else 1.0  # mg
         offset = correct.offset[i] / factor, correct.uncertainty[0, i] / (factor * form)
-        assert with_error(*offset) == coefficients[f"bias.constant[{a}]"]
+        assert format_value(*offset) == coefficients[f"bias.constant[{a}]"]
     # Where nothing acts, what is corrected is the offset.
     found = correct(correct.offset[None], correct.reference, noise=0.0)
     assert found.vector == pytest.approx(0.0, abs=1e-12)

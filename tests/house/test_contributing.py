@@ -74,7 +74,7 @@ def test_contributed_instrument_is_recovered() -> None:
 def test_the_format_holds_the_covariance() -> None:
     program = bc.compensator(references.calibration("mems_gyro")).program
     quoting: Any = import_module("bayescal._core.quoting")
-    space = put_in("bayescal/_use/correction_files.py", csv_line=quoting.csv_line)
+    space = put_in("bayescal/_use/correction_files.py", format_csv_line=quoting.format_csv_line)
     try:
         rows = list(csv.reader(space["as_text"](program, "csv").splitlines()))
     finally:

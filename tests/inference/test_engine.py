@@ -147,12 +147,12 @@ def somewhere(a: Problem, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return a.mean_of_x + sd * random.standard_normal(a.size), v
 
 
-compiled = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
+compile_lazily = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
 
 
 def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> composition.Linearisation:
     """What the composition itself says at an x."""
-    return compiled(a.layout, a.record.frame, jnp.asarray(x), hyper)
+    return compile_lazily(a.layout, a.record.frame, jnp.asarray(x), hyper)
 
 
 @pytest.mark.parametrize("case", slow_but((*FAST, *FORMS), CASES))

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import mems_gyro
-from tests.support.inside import smoothed
+from tests.support.inside import smooth
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),
@@ -248,8 +248,8 @@ def test_noise_estimate_at_zero_is_finite() -> None:
     """Readings of a wander without white noise beside it: the logarithm of that would go on for ever."""
     random, n = np.random.default_rng(3), 200
     time = 10.0 * np.arange(n)
-    smooth = lfilter([0.3], [1.0, -0.8], random.standard_normal(n))  # as no white noise lets it be
-    wander = lfilter([0.05], [1.0, -0.95], smooth)
+    ripple = lfilter([0.3], [1.0, -0.8], random.standard_normal(n))  # as no white noise lets it be
+    wander = lfilter([0.05], [1.0, -0.95], ripple)
     readings = bc.Measurements.from_arrays(
         mems_gyro.INSTRUMENT, time=time, temperature=30 + 10 * np.sin(time / 300), output=wander
     )
@@ -268,7 +268,7 @@ def test_noise_estimate_at_zero_is_finite() -> None:
 @pytest.mark.parametrize("size", [1e-3, 0.3, 3.0])
 def test_smoothed_weights_are_those_of_arviz(count: int, freedom: float, size: float) -> None:
     log_weight = size * np.random.default_rng(count).standard_t(freedom, count)
-    weights, k_hat = smoothed(log_weight)
+    weights, k_hat = smooth(log_weight)
     theirs, their_k_hat = array_stats.psislw(-log_weight)
     assert weights == pytest.approx(np.exp(theirs) / np.exp(theirs).sum(), rel=1e-10)
     assert k_hat == pytest.approx(float(their_k_hat), abs=1e-10)

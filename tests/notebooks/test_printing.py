@@ -15,7 +15,7 @@ import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
 from bayescal_models.mems_gyro import INSTRUMENT, simulate
 from tests.support.golden import assert_golden
-from tests.support.inside import interval, with_error
+from tests.support.inside import format_interval, format_value
 
 SCRIPT = "<img src=x onerror=alert(1)>"
 QUICK = bc.LeastSquares(draws=400)
@@ -200,11 +200,11 @@ def test_over_many_groups_their_scores_rank() -> None:
     ],
 )
 def test_digits_follow_the_uncertainty(value, error, text) -> None:
-    assert with_error(value, error) == text
+    assert format_value(value, error) == text
 
 
 def test_an_interval_has_the_digits_of_its_error() -> None:
-    assert interval(0.8881916, 0.8881928, 0.8881922, 3.1e-7) == "0.88819160 to 0.88819280"
+    assert format_interval(0.8881916, 0.8881928, 0.8881922, 3.1e-7) == "0.88819160 to 0.88819280"
 
 
 def test_a_skewed_unknown_is_no_symmetric_one() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import inclinometer
-from tests.support.inside import identifier
+from tests.support.inside import to_identifier
 from tests.support.references import shared
 
 COMPILER = shutil.which("cc")
@@ -110,8 +110,8 @@ def run_header(
         Value, uncertainty, uncertainty with noise, flags, (n, 4).
     """
     header = compensator.export(folder / "calibration.h")
-    name = identifier(compensator.program.about.instrument)
-    fields = ["reading", *(identifier(i.name) for i in compensator.inputs)]
+    name = to_identifier(compensator.program.about.instrument)
+    fields = ["reading", *(to_identifier(i.name) for i in compensator.inputs)]
     fill = " ".join(f"in.{field} = (BAYESCAL_REAL)row[{k}];" for k, field in enumerate(fields))
     source = DRIVER.format(header=header.name, width=len(fields), name=name, fill=fill)
     return run_c(source, rows, folder, real).reshape(-1, 4)

@@ -29,10 +29,9 @@ from bayescal._calibration.check import autocorrelation as autocorrelation
 from bayescal._calibration.claim import CRITERIA as CRITERIA
 from bayescal._calibration.claim import Claim as Claim
 from bayescal._calibration.claim import as_claim as as_claim
-from bayescal._core.formatting import interval as interval
-from bayescal._core.importance_weights import smoothed as smoothed
-from bayescal._core.json_data import as_type as as_type
-from bayescal._core.quoting import identifier as identifier
+from bayescal._core.formatting import format_interval as format_interval
+from bayescal._core.json_data import validate as validate
+from bayescal._core.quoting import to_identifier as to_identifier
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import allan_variances as allan_variances
 from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
@@ -63,8 +62,8 @@ from bayescal._use.compensation_program import CompensationProgram as Compensati
 from bayescal.workshop import MANIFEST as MANIFEST
 from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
 from bayescal.workshop import files_of as files_of
+from bayescal.workshop import format_value as format_value
 from bayescal.workshop import whole_folder as whole_folder
-from bayescal.workshop import with_error as with_error
 
 identity_of = identity  # SHA-256 by which every artefact names a calibration
 result_of = result  # what `save` of a search writes as result.json, nothing drawn

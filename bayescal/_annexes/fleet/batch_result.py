@@ -290,13 +290,13 @@ class BatchResult:
         """
         path = require_parquet(Path(path))
         metadata = {"bayescal": json.dumps(self.to_json_data(), allow_nan=False)}
-        with ws.replacing_for_user(path) as temporary_path:
+        with ws.replace_user_file(path) as temporary_path:
             table = _tabulate(self.results).replace_schema_metadata(metadata)
             pq.write_table(table, temporary_path, write_page_checksum=True)
         return path
 
     def _repr_html_(self) -> str:
-        return f"<pre>{ws.html_text(self)}</pre>"
+        return f"<pre>{ws.escape_html(self)}</pre>"
 
     def __str__(self) -> str:
         outlier_texts = {name: "; ".join(texts) for name, texts in self.outliers.items()}
@@ -337,7 +337,7 @@ def load_batch(path: str | Path) -> BatchResult:
         raise bc.InputError(f"{path} does not exist: give the file of a batch saved by bayescal")
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        metadata = {"revised": {}} | ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
+        metadata = {"revised": {}} | ws.parse_json((table.schema.metadata or {})[b"bayescal"])
         if metadata["schema"] != FORMAT:
             raise KeyError(metadata["schema"])
         return BatchResult(

@@ -131,7 +131,7 @@ def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
             is_hidden = [part[0] in "._" for part in relative_path.parts]
             if any(is_hidden[:-1]):
                 continue
-            name, is_readable = ws.one_line(relative_path), os.access(entry, os.R_OK | os.X_OK)
+            name, is_readable = ws.to_printable(relative_path), os.access(entry, os.R_OK | os.X_OK)
             if is_hidden[-1]:
                 skip_reasons[name] = "names that begin with . or _ are reserved for programs"
             elif entry.is_file() and suffix in ws.SUFFIXES:

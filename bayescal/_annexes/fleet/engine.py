@@ -102,7 +102,7 @@ def run_tasks(
         if now > last_report + REPORT_INTERVAL_S and fraction < 1:
             last_report, seconds = now, (now - start) * (1 / fraction - 1)
             progress = f"{len(outcomes):,} of {len(tasks):,} {noun}"
-            ws.tell(f"{progress}, about {seconds:,.0f} s left", fraction)
+            ws.notify(f"{progress}, about {seconds:,.0f} s left", fraction)
     return [outcomes[index] for index in range(len(tasks))]
 
 
@@ -113,8 +113,8 @@ def _iterate_outcomes(
     deadline, settings = ws.deadline.current(), ws.settings()
     if client is None:
         for index, task in enumerate(tasks):
-            if index and deadline.over:
-                yield index, (None, NOT_PROCESSED.format(deadline.why))
+            if index and deadline.is_over:
+                yield index, (None, NOT_PROCESSED.format(deadline.reason))
             else:
                 yield index, run_guarded(function, task, settings)
         return
@@ -124,7 +124,7 @@ def _iterate_outcomes(
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": MAX_TASK_SIZE}):
         futures = {submit(run_guarded, function, t, settings): i for i, t in enumerate(tasks)}
     last_active = now = time.monotonic()  # last time with a worker, s
-    while futures and not deadline.over and now <= last_active + WORKER_TIMEOUT_S:
+    while futures and not deadline.is_over and now <= last_active + WORKER_TIMEOUT_S:
         completed, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
         now = time.monotonic()
         last_active = now if completed or client.nthreads() else last_active
@@ -137,7 +137,7 @@ def _iterate_outcomes(
                 yield index, (None, reason)
             deadline.defer_interrupt()
     no_worker = "the cluster has no worker left: start workers"
-    reason = NOT_PROCESSED.format(deadline.why) if deadline.over else no_worker
+    reason = NOT_PROCESSED.format(deadline.reason) if deadline.is_over else no_worker
     for future, index in futures.items():
         future.cancel()
         yield index, (None, reason)

@@ -46,7 +46,7 @@ def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
         except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
             results[name] = DeviceResult(reason=str(error))
             del measurements[name]
-    with ws.deadline.finishing() if request.find else nullcontext():
+    with ws.deadline.suspend() if request.find else nullcontext():
         results |= fit_devices(models, measurements, request, starts)
     return [
         replace(results[name], device=name, structure=structures.get(name))
@@ -144,8 +144,8 @@ def fit_batch(
     paths, file_errors, skip_reasons = _list_paths(readings), dict[str, str](), dict[str, str]()
     ws.check_files_exist([path for path in paths if not path.is_dir()])
     if client is not None and client.cluster is None and client.dashboard_link:
-        ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
-    with ws.deadline.until(time_limit):
+        ws.notify(f"the cluster's dashboard: {client.dashboard_link}")
+    with ws.deadline.limit(time_limit):
         if paths:
             files, skip_reasons = list_files([path.resolve() for path in paths])
             ws.print_notes(line.strip() for line in format_reasons(skip_reasons, "not read: "))
@@ -155,7 +155,7 @@ def fit_batch(
                 readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
             )
         model = tailor_to_fleet(model, devices)
-        options = method, ws.seed_of(seed), dict(reference or {}), find, tuple(effects)
+        options = method, ws.to_seed(seed), dict(reference or {}), find, tuple(effects)
         request = Request(model, *options)
         result = _fit_and_compare(client, request, devices, file_errors)
     result = replace(result, file_errors=file_errors, skip_reasons=skip_reasons)
@@ -169,12 +169,12 @@ def _fit_and_compare(
 ) -> BatchResult:
     """Fit all devices and find the outlying ones; raise InputError if no device can be used."""
     model, reference, method = request.model, request.reference, request.method.name
-    with ws.stage("fitting devices"):
+    with ws.track("fitting devices"):
         results = fit_all(client, request, devices)
     configuration = {"instrument": model.instrument.name, "effects": list(model.names)}
     configuration |= {"noise": model.noise.law, "method": method, "seed": request.seed}
     configuration["reference"] = {k: v for k, v in reference.items() if not isinstance(v, dict)}
-    configuration |= {"settings": settings} if (settings := ws.changed_settings()) else {}
+    configuration |= {"settings": settings} if (settings := ws.list_changed_settings()) else {}
     if not any(fit.names for fit in results):
         reasons = BatchResult(results, configuration).unreliable | file_errors
         lines = "\n".join(format_reasons(reasons)).strip()

@@ -73,13 +73,13 @@ def fit_devices(
         for group_results in _fit_regular_devices(models, devices, request):
             results |= group_results
             deadline.defer_interrupt()
-            deadline.ask()
+            deadline.raise_if_over()
         for name in [name for name in devices if name not in results]:
             start = starts.get(name, {})
             results[name] = fit_device(models[name], devices[name], request, start)
             deadline.defer_interrupt()
-            deadline.ask()
-    not_processed = DeviceResult(reason=NOT_PROCESSED.format(deadline.why))
+            deadline.raise_if_over()
+    not_processed = DeviceResult(reason=NOT_PROCESSED.format(deadline.reason))
     return dict.fromkeys(devices, not_processed) | results
 
 

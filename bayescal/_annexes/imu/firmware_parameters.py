@@ -289,7 +289,7 @@ class FirmwareParameters:
             ]
             for name, p in self.axes.items()
         ]
-        return "\n".join([str(ws.plain_table(headers, rows)), *self.notes])
+        return "\n".join([str(ws.make_table(headers, rows)), *self.notes])
 
     def text(self) -> str:
         """Return the content of the parameter file, in ASCII."""
@@ -297,7 +297,7 @@ class FirmwareParameters:
         comments = [
             f"Thermal parameters of {autopilot.title}, made by bayescal {bc.__version__}",
             *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
-            *(ws.ascii_text(ws.one_line(x)) for x in str(self).replace("─", "-").splitlines()),
+            *(ws.to_ascii(ws.to_printable(x)) for x in str(self).replace("─", "-").splitlines()),
         ]
         return autopilot.format_file(comments, self.values)
 

@@ -63,7 +63,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         has_no_dof = len(readings) <= sum(len(e.coefficients) for e in model.effects)
         method = bc.LeastSquares() if has_no_dof else bc.Marginal(chains=not unidentified.add)
         max_effects = 0 if self.baseline or has_no_dof else MAX_EFFECTS_ADDED
-        with ws.deadline.sooner(1 / n_triads):
+        with ws.deadline.shorten(1 / n_triads):
             options = {"method": method, "seed": self.seed, "max_effects": max_effects}
             path = bc.calibrate(model, readings, **options)
         triad = Triad(path, bc.vector_correction(path.calibration), readings)
@@ -110,7 +110,7 @@ class TriadCommand(TriadOptions, ws.Command):
         ws.print_notes(readings.flags)
         if self.dry_run:
             return ws.Answer(str(bc.undetermined(model, readings)))
-        with ws.result_folder(self.out) as folder:
+        with ws.create_result_folder(self.out) as folder:
             return self.finish({"": self.calibrate(model, readings)}, folder)
 
 
@@ -123,7 +123,7 @@ class ImuCommand(TriadOptions, ws.Command):
 
     def answer(self) -> ws.Answer:
         ws.sensor_name(self.name, "")  # refused before minutes of calibration
-        with ws.result_folder(self.out) as folder:
+        with ws.create_result_folder(self.out) as folder:
             (accs, forces), (gyros, rates) = self.read_logs()
             poses = bc.poses(forces, accs, min_duration=self.shortest)
             ws.print_notes(poses.flags)

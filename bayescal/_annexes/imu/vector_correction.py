@@ -321,7 +321,7 @@ def tabulate_terms(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
         ws.TableColumn("outputs = offset + matrix · inputs + higher orders", lambda r: r.name),
-        ws.TableColumn("value ± standard uncertainty", lambda r: ws.with_error(*r[1:3])),
+        ws.TableColumn("value ± standard uncertainty", lambda r: ws.format_value(*r[1:3])),
         ws.TableColumn("unit", lambda r: ws.unit_label(r.unit)),
     )
     return ws.ResultTable(columns, rows)

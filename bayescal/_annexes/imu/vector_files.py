@@ -17,7 +17,7 @@ PACKAGE = "bayescal._annexes.imu"  # with the templates
 
 def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as C99 headers in one text."""
-    template = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
+    template = ws.load_template(PACKAGE, "vector.h.jinja", {"comment": ws.quote_c_comment})
 
     def render_header(name: str, c: VectorCorrection) -> str:
         content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high)
@@ -35,9 +35,9 @@ def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty:
     keys = {} if with_uncertainty else {"covariance"}  # omitted
     entries = {name: c.to_json_data().items() for name, c in corrections.items()}
     data = {name: repr({k: v for k, v in e if k not in keys}) for name, e in entries.items()}
-    return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
-        named=corrections, data=data, uncertainty=with_uncertainty, newton=NEWTON_STEPS
-    )
+    return ws.load_template(
+        PACKAGE, "vector.py.jinja", {"comment": ws.quote_python_comment}
+    ).render(named=corrections, data=data, uncertainty=with_uncertainty, newton=NEWTON_STEPS)
 
 
 CORRECTION_KINDS = (

@@ -140,5 +140,5 @@ def format_parameter_file(correction: VectorCorrection, autopilot: str) -> str:
     """Format a correction as a parameter file of an autopilot."""
     values, note = convert_to_parameters(correction, autopilot)
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
-    comments = map(ws.c_comment, (*head, note or "No term is omitted."))
+    comments = map(ws.quote_c_comment, (*head, note or "No term is omitted."))
     return AUTOPILOTS[autopilot].format_file(comments, dict(values))

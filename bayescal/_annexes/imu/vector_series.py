@@ -206,7 +206,7 @@ def _expand_draws(
     return np.concatenate([series, sensitivity], axis=2), contributions
 
 
-@ws.compiled
+@ws.compile_lazily
 def _expand_equation(
     vector: bc.Vector, slots: Mapping[str, Float[Array, "s g"]], frame: bc.Frame
 ) -> Float[Array, "s g p"]:

@@ -168,7 +168,7 @@ def generate_dcc(
     if reason := ws.why_not(calibration):
         raise bc.InputError(f"no certificate can be written for an unreliable result: {reason}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
-    layout = ws.template(
+    layout = ws.load_template(
         "bayescal._annexes.metrology",
         "dcc.xml.jinja",
         {"statement_lines": format_statement},

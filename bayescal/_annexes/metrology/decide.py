@@ -227,7 +227,7 @@ class Decisions(ws.Printed):
             verdict=conclusion if self.conforms else "Not every limit is shown to be met.",
             is_negative=not self.conforms,
             reason=f"Decision rule: {self.rule_in_words}.",
-            table=("Decisions", replace(table, columns=(*table.columns, why), fold=1)),
+            table=("Decisions", replace(table, columns=(*table.columns, why), width=1)),
         )
 
     def to_json_data(self) -> dict[str, Any]:
@@ -242,7 +242,7 @@ class Decisions(ws.Printed):
         """Tabulate each limit: estimate, probability of conformity, accepted estimates, decision."""
 
         def format_estimate(d: Decision) -> str:
-            text = ws.with_error(find_worst_end(d), d.worst_uncertainty)
+            text = ws.format_value(find_worst_end(d), d.worst_uncertainty)
             return f"{text} {ws.unit_label(d.unit)}".strip()
 
         columns = (
@@ -276,7 +276,7 @@ def find_worst_end(decision: Decision) -> float:
 
 def _fold(text: str) -> str:
     indent = "    " if text.startswith("  ") else "  "
-    return ws.folded(text, indent)
+    return ws.wrap(text, indent)
 
 
 def _format_acceptance(d: Decision) -> str:
@@ -309,7 +309,7 @@ def format_statement(d: Decision) -> list[str]:
         head = "  guard bands (lower, upper)" if len(texts) > 1 else "  guard band"
         lines.append(f"{head} w = {' and '.join(texts)}")
     if (g := d.global_risks) is not None:
-        moments = f"{ws.with_error(*d.population)} {unit}" if d.population else ""
+        moments = f"{ws.format_value(*d.population)} {unit}" if d.population else ""
         lines.append(
             f"  of devices {moments}: {format_percent(g.conforming)} conform, "
             f"{format_percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "

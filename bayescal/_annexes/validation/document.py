@@ -21,7 +21,7 @@ LETTERS_PER_LINE = int((WIDTH - 2 * MARGIN) / LETTER_INCHES)  # in a line
 LINES = int((HEIGHT - 2 * MARGIN) / LINE_INCHES)  # on a page
 MIN_SECTION_LINES = 12  # lines left on a page, below which a section begins on a new one
 SETTINGS = {"pdf.fonttype": 42, "font.family": "DejaVu Sans Mono", "text.parse_math": False}
-TITLE = "Validation of bayescal on this installation"
+PACKAGE, TITLE = "bayescal._annexes.validation", "Validation of bayescal on this installation"
 
 
 def wrap_row(cells: Sequence[str], widths: Sequence[float]) -> list[str]:
@@ -48,7 +48,7 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
                 pages.append([*head])
             pages[-1] += lines
     settings = style.context(["default", SETTINGS])
-    with settings, ws.replacing_for_user(path) as partial, PdfPages(partial) as pdf:
+    with settings, ws.replace_user_file(path) as partial, PdfPages(partial) as pdf:
         for i, lines in enumerate(pages, 1):
             figure = Figure(figsize=(WIDTH, HEIGHT))
             footer = [""] * (LINES + 1 - len(lines)) + [f"{TITLE}, page {i} of {len(pages)}"]
@@ -63,7 +63,7 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
 
 def write_html(record: ValidationRecord, path: Path) -> None:
     """Write the record as one self-contained HTML file."""
-    page = ws.template("bayescal._annexes.validation", "validation.html.j2", {}, autoescape=True)
+    page = ws.load_template(PACKAGE, "validation.html.j2", {}, autoescape=True)
     ws.write_text(page.render(title=TITLE, sections=record.sections()), path)
 
 

@@ -97,7 +97,7 @@ class ValidationRecord:
             for n, o in by_standard
         )
         head = ["standard", "clauses", "values", "failed"]
-        table = ws.plain_table(head, [[*map(str, row)] for row in counts])
+        table = ws.make_table(head, [[*map(str, row)] for row in counts])
         return "\n".join([str(table), *(" ".join((r.standard, *r.cells)) for r in self.failed)])
 
     def to_json_data(self) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
     performance = dict[str, tuple[float, float]]()
     kinds = ("linear", "nonlinear") if NIST in chosen else ()
     for name in (name for kind in kinds for name in nist_strd.load_certificates(kind)):
-        with ws.stage(f"{NIST}, {name}"):
+        with ws.track(f"{NIST}, {name}"):
             estimates = nist_strd.fit_data_set(name)
         performance[name] = estimates[0].condition_number, max(e.performance for e in estimates)
         largest = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
@@ -160,7 +160,7 @@ def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
     """Yield a row per compared value of a clause of a standard; values are NaN if its example raises an error."""
     inputs = {name: examples.resolve(value) for name, value in clause["given"].items()}
     answer, error_text = None, ""
-    with ws.stage(f"{clause['standard']}, {clause['clause']}"):
+    with ws.track(f"{clause['standard']}, {clause['clause']}"):
         try:
             answer = getattr(examples, clause["example"])(**inputs)
         except bc.BayescalError as error:
@@ -190,5 +190,5 @@ def hash_folders(*folders: Path) -> str:
         for file in sorted(folder.rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:
                 path = file.relative_to(folder.parent).as_posix()
-                file_digests.update(f"{path} {ws.sha256_of(file)}\n".encode())
+                file_digests.update(f"{path} {ws.compute_sha256(file)}\n".encode())
     return file_digests.hexdigest()

@@ -75,7 +75,7 @@ def open_in_browser(url: str, folder: Path) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="open_", dir=folder.resolve()) as private:  # mode 700
         file = Path(private) / "workbench.html"
         file.touch(0o600)
-        file.write_text(FORWARD.format(ws.html_text(url)), "utf-8")
+        file.write_text(FORWARD.format(ws.escape_html(url)), "utf-8")
         webbrowser.open(file.as_uri())
         yield
 

@@ -48,7 +48,7 @@ class Preview:
             name = effect.group_sd_name(0) if is_grouped else effect.coefficient_name(0)
             draws = calibration.samples(effect.measure_name or name)
             draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
-            size = ws.with_error(float(draws.mean()), float(draws.std()))
+            size = ws.format_value(float(draws.mean()), float(draws.std()))
             unit = ws.unit_label(effect.coefficients[0].unit)
             text = f"{added} would be {f'{size} {unit}'.rstrip()}: {text}"
         self.summary = text
@@ -158,7 +158,7 @@ class Session:
             model.require(holdout)
             held_out = bc.set_aside(holdout, spikes)
         folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
-        with ws.result_folder(folder):
+        with ws.create_result_folder(folder):
             name = model.instrument.name
             origin = origin or Origin(name if name in ws.installed_names() else "")
             used, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
@@ -312,7 +312,7 @@ class Session:
     @contextmanager
     def _exclude_searches(self) -> Iterator[None]:
         """Hold the lock of searches, with the time limit as deadline."""
-        with self._search_lock, ws.deadline.until(self.settings.time_limit) as self._deadline:
+        with self._search_lock, ws.deadline.limit(self.settings.time_limit) as self._deadline:
             yield
 
     def _search_at(
@@ -349,7 +349,7 @@ class Session:
             extra = (*self.effects.values(), *search.free_contradicted(self.states[0].step))
             search.list_structures(first, extra, self.settings.widen_noise)
         if search.stopped and (is_new or follow is not None):
-            with ws.deadline.sooner(ws.SEARCH_TIME_SHARE):
+            with ws.deadline.shorten(ws.SEARCH_TIME_SHARE):
                 search.run_search(lambda: None if follow is None else follow(search.build_path()))
             searches = [*(s for s in self._searches if s is not search), search]
             self._searches = searches[-MAX_CACHED_SEARCHES:]
@@ -358,7 +358,7 @@ class Session:
     def stop(self) -> None:
         """Stop the running search, with the best model so far."""
         if self._deadline is not None:
-            self._deadline.interrupt.requested = True
+            self._deadline.interrupt.is_requested = True
 
     def parse_formula(self, line: str) -> bc.Effect:
         """Return the effect that a formula defines, in the syntax of `bc.effect`.
@@ -418,7 +418,7 @@ class Session:
         trail = self.trail()
         use = "This result may be used." if trail.ok else "Not to be used as it is."
         texts = (use, trail.gate.reason, str(trail.final.calibration.verdict))
-        return "\n\n".join([*(ws.folded(t, "") for t in texts if t), str(trail)])
+        return "\n\n".join([*(ws.wrap(t, "") for t in texts if t), str(trail)])
 
     def compare(self, number: int) -> str:
         """Compare the current model with that of state `number` by `bc.compare`, and list the unknowns of both.
@@ -434,7 +434,7 @@ class Session:
             [name, *(table[name][1] if name in table else "–" for table in tables), unit]
             for name, unit in units.items()
         ]
-        return f"{bc.compare(fits)}\n\n{ws.plain_table(['', *fits, 'unit'], rows)}"
+        return f"{bc.compare(fits)}\n\n{ws.make_table(['', *fits, 'unit'], rows)}"
 
     def write(self, file: str) -> Path:
         """Write the report or an export of the current model, as `bayescal report` and `export` do; return its path.

@@ -177,7 +177,7 @@ def generate_script(
     for state in path:
         c, is_gaussian = state.calibration, state.model.noise.gaussian
         step = {
-            "title": ws.one_line(f"{state.number} {state.title}"),
+            "title": ws.to_printable(f"{state.number} {state.title}"),
             "file": str(fit_path(folder, state.number)),
             "method": format_method(ws.QUICK if is_gaussian else settings.method),
             "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
@@ -186,7 +186,7 @@ def generate_script(
     file, _, name = origin.instrument.rpartition(":")
     installed = metadata.entry_points(group="bayescal.instruments")
     arguments = {"repr": repr, "arguments": _format_arguments}
-    return ws.template("bayescal._annexes.workbench", "script.py.jinja", arguments).render(
+    return ws.load_template("bayescal._annexes.workbench", "script.py.jinja", arguments).render(
         version=bc.__version__,
         file=file,
         name=name,

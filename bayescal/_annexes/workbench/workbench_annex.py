@@ -28,9 +28,9 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
         # Unusable files raise an error before a browser opens.
         models, readings, holdout = ws.open_search([], self)
         effects = ws.load_effects(self, models[""].instrument, readings[""])
-        with ws.result_folder(self.out) as folder:
+        with ws.create_result_folder(self.out) as folder:
             assert folder is not None
-            ws.tell("loading the workbench and fitting the first model …")
+            ws.notify("loading the workbench and fitting the first model …")
             from bayescal._annexes.workbench.serve import serve
             from bayescal._annexes.workbench.session import Session
             from bayescal._annexes.workbench.session_store import FIRST_FOLDER, Origin

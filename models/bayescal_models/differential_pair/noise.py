@@ -27,7 +27,7 @@ def differentiate(r: bc.Frame, values: Any) -> Any:
     interval_before = xp.where(r.step > 0, r.step, 0.0)
     interval_after = xp.append(interval_before[1:], 0.0)
     count = (interval_before > 0).astype(float) + (interval_after > 0)  # of intervals
-    duration = xp.placed(r.order, (interval_before + interval_after) / xp.maximum(count, 1.0))
+    duration = xp.scatter(r.order, (interval_before + interval_after) / xp.maximum(count, 1.0))
     start_value, end_value = end_values(r, values)
     return (end_value - start_value) / xp.where(duration > 0, duration, 1.0)
 
@@ -53,7 +53,7 @@ def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:
     norm = 2.0 * sum(weights.values())
     starts = sum(w * (shift_values(j - 1) + shift_values(j)) for j, w in weights.items()) / norm
     ends = sum(w * (shift_values(j) + shift_values(j + 1)) for j, w in weights.items()) / norm
-    return xp.placed(r.order, starts), xp.placed(r.order, ends)
+    return xp.scatter(r.order, starts), xp.scatter(r.order, ends)
 
 
 class NoiseWhileChanging(bc.Noise):

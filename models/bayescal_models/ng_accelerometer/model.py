@@ -161,7 +161,7 @@ def evaluate_temperature_direction(r: bc.Frame) -> Float[Any, "n"]:
         return (xp.where(is_first | has_changed, value, reference), sign), sign
 
     start = (temperature[0], xp.zeros(()))
-    return xp.placed(r.order, xp.scan(advance, start, (temperature, is_run_start)))
+    return xp.scatter(r.order, xp.scan(advance, start, (temperature, is_run_start)))
 
 
 def _centre_lab(r: bc.Frame) -> Float[Any, "n"]:

@@ -40,7 +40,7 @@ class Campaign:
         ramp_speeds: temperature rates, °C/min; there is a ramp run for each attitude at each rate.
         hold: time at the start and at both temperature extremes of a ramp run, s.
         interval: time between readings of a ramp run, s.
-        average: averaging time of a reading, s, at most `interval`.
+        average: averaging time of a reading, s, at most `format_interval`.
         pause: time without power between runs, s.
         chamber_speed: temperature rate of the chamber between soak temperatures, °C/min.
         air_time: first-order time constant of the chamber's air, s.

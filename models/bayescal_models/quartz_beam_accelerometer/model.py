@@ -100,7 +100,7 @@ def _evaluate_backlash(r: bc.Frame) -> Any:
         centre = xp.where(is_first, value, xp.clip(centre, value - PLAY_DEGC, value + PLAY_DEGC))
         return centre, (value - centre) / PLAY_DEGC
 
-    return xp.placed(r.order, xp.scan(advance, temperature[0], (temperature, is_run_start)))
+    return xp.scatter(r.order, xp.scan(advance, temperature[0], (temperature, is_run_start)))
 
 
 # Factories and effects of this instrument.

@@ -111,7 +111,7 @@ def _build_row(c: Any, group: str, kind: str) -> dict[str, Any]:
         factor = f"log Bayes factor {ws.number(c.log_bayes_factor)} by {c.source}"
         bar = {"bar": c.probability, "kind": "value number"}
         if c.size is not None:
-            size = f"{ws.with_error(c.size, c.size_sd or 0.0)} {ws.unit_label(c.unit)}"
+            size = f"{ws.format_value(c.size, c.size_sd or 0.0)} {ws.unit_label(c.unit)}"
             bar["text"] = f"{text} · {size}"
         cells.append({"text": text, "title": f"probability {text}; {factor}", **bar})
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}

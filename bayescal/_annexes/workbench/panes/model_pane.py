@@ -154,7 +154,7 @@ def build_effect_rows(calibration: Any) -> list[dict[str, Any]]:
 
 
 def _format_value(row: dict[str, Any]) -> str:
-    return f"{ws.with_error(row['mean'], row['sd'])} {ws.unit_label(row['unit'])}".rstrip()
+    return f"{ws.format_value(row['mean'], row['sd'])} {ws.unit_label(row['unit'])}".rstrip()
 
 
 def _build_bar(contraction: float | None) -> dict[str, Any]:

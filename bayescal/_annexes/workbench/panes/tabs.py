@@ -86,8 +86,8 @@ def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list
         title = {"number": f"{n} ", "title": state.title + f" (from {state.parent})" * is_branch}
         steps.append({**row, **title, "nothing_missing": complete, "state": n})
     table = ws.steps_table(steps)
-    table = table.only(*(c.head for c in table.printed_columns if c.head in COLUMNS))
-    headers, rows = [c.head for c in table.columns], []
+    table = table.select(*(c.heading for c in table.printed_columns if c.heading in COLUMNS))
+    headers, rows = [c.heading for c in table.columns], []
     increase = {"held-out": "more than a twentieth above the step before"}
     for row, (step, *cells) in zip(steps, table.cells, strict=True):
         titles = TITLES | (increase if row["rises"] else {})
@@ -98,7 +98,7 @@ def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list
         is_current = row["state"] == current
         texts = {"cells": [{"text": step}, *numbers], "actions": [] if is_current else STEP_ACTIONS}
         rows.append({"id": str(row["state"]), **texts, "current": is_current})
-    return [*table.head, ""], rows
+    return [*table.headings, ""], rows
 
 
 def make_table_pane() -> Any:

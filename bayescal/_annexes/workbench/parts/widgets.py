@@ -41,7 +41,7 @@ class Text(pn.pane.Str):
     """Text pane without HTML (Panel's would show `<b>` in bold); a table, which may scroll, accepts focus."""
 
     def _transform_object(self, obj: Any) -> dict[str, Any]:
-        model = super()._transform_object(ws.html_text(obj) if obj else "")
+        model = super()._transform_object(ws.escape_html(obj) if obj else "")
         if "table" in self.css_classes:
             focused = "&lt;pre tabindex=&quot;0&quot;&gt;"
             model["object"] = model["object"].replace("&lt;pre&gt;", focused, 1)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayescal as bc
-from bayescal.workshop import as_json, plain_table
+from bayescal.workshop import as_json, make_table
 
 Array = NDArray[np.float64]
 
@@ -137,7 +137,7 @@ class PairTable:
         ratio = best.environment_ratio
         printed_pairs = self.pairs[:MAX_PRINTED_PAIRS]
         cells = [[format_cell(pair) for format_cell in _CELLS.values()] for pair in printed_pairs]
-        lines = str(plain_table([*_CELLS], cells, left=2)).splitlines()
+        lines = str(make_table([*_CELLS], cells, left=2)).splitlines()
         omitted_count = len(self.pairs) - len(printed_pairs)
         if omitted_count > 0:
             lines.append(f"… and {omitted_count} more")
