@@ -139,7 +139,7 @@ from ._model.effect import with_forms as with_forms
 from ._model.formula import Formula as Formula
 from ._model.frame import build_frame as build_frame
 from ._model.frame import reference_of as reference_of
-from ._model.installed import installed_names as installed_names
+from ._model.installed import list_installed as list_installed
 from ._model.parameters import Unknowns as Unknowns
 from ._model.parameters import bind as bind
 from ._report import plot_colours as plot_colours

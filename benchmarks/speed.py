@@ -239,7 +239,7 @@ def noise() -> Iterator[Row]:
 
     @jax.jit
     def likelihood(h: jax.Array, y: jax.Array) -> jax.Array:
-        block = state_space.exponential_block(np.array(times), np.array(variances), h)
+        block = state_space.build_exponential(np.array(times), np.array(variances), h)
         states = state_space.assemble_states([block], h.at[0].set(-1.0))
         new, log_sd = state_space.kalman_whiten(states, np.ones(len(step)), y[:, None])
         return -0.5 * jax.numpy.sum(new**2 + np.log(2 * np.pi)) - jax.numpy.sum(log_sd)

@@ -29,7 +29,7 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import explained_sum_of_squares
-from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
+from bayescal._model.unknown_effect import RESOLUTION, make_process_columns, make_process_weights
 
 SIGNIFICANCE_LEVEL = 1e-3  # p-value of the tests without a Bayes factor
 
@@ -324,8 +324,8 @@ class Covariate:
         term_count, length_range = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
         lengths = np.geomspace(*length_range, LENGTH_COUNT[in_time])
-        weights = tuple(process_weights(term_count, length) for length in lengths)
-        return cls(name, values, process_columns(position, term_count), weights, unit)
+        weights = tuple(make_process_weights(term_count, length) for length in lengths)
+        return cls(name, values, make_process_columns(position, term_count), weights, unit)
 
 
 def collect_covariates(calibration: Calibration) -> list[Covariate]:

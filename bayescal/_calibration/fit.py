@@ -31,7 +31,7 @@ from bayescal._model.frame import (
     reference_name,
     reference_of,
 )
-from bayescal._model.instrument import Instrument, factor_of
+from bayescal._model.instrument import Instrument, compute_factor
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 from bayescal._model.terms import ColumnSpec
@@ -166,7 +166,7 @@ def _find_constant_coefficient(model: Model, record: Record, output: int) -> str
             in_every_reading = c.per is None or (record.codes[c.per] >= 0).all()
             column = record.columns(ColumnSpec.from_effect(effect), ())[:, i]
             if in_every_reading and np.all(column == 1.0) and _has_unit_slope(record, slot, output):
-                prior_sd = math.inf if c.flat else c.size * factor_of(instrument, effect, c)
+                prior_sd = math.inf if c.flat else c.size * compute_factor(instrument, effect, c)
                 prior_sds[effect.coefficient_name(i)] = prior_sd
     return max(prior_sds, key=prior_sds.__getitem__) if prior_sds else None
 

@@ -20,7 +20,7 @@ from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
-from bayescal._model.instrument import factor_of
+from bayescal._model.instrument import compute_factor
 from bayescal._model.terms import ColumnSpec
 
 MIN_WHITE_SHARE = 1e-12  # smallest white share of the noise variance
@@ -121,7 +121,7 @@ def _sensitivities(calibration: Calibration, problem: Problem, effect: Effect) -
     """Return ∂output/∂coefficient of a group deviation (n,), output unit per unit of the coefficient."""
     gradients = problem.slopes(calibration.mode.x, problem.hyper(calibration.mode.v))
     c, spec = effect.coefficients[0], ColumnSpec.from_effect(effect)
-    factor = factor_of(calibration.model.instrument, effect, c)
+    factor = compute_factor(calibration.model.instrument, effect, c)
     return gradients[c.slot or effect.slot] * factor * problem.record.columns(spec, ())[:, 0]
 
 
@@ -168,7 +168,7 @@ def _condition_noise(
     model, parameters = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
     total = variance(model, parameters, fit_record)
     white = np.maximum(total - model.slow_variance(parameters), MIN_WHITE_SHARE * total)[past]
-    x, time = model.followed(frame), record["time"]
+    x, time = model.covariate(frame), record["time"]
 
     def conditional_moments(residuals: Float[np.ndarray, "b n"]) -> tuple[np.ndarray, np.ndarray]:
         mean, variances = np.zeros_like(residuals), np.zeros(len(record))

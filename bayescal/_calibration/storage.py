@@ -30,12 +30,12 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model.effect import Effect
 from bayescal._model.formula import Formula, effect
-from bayescal._model.installed import installed_instrument, installed_names
+from bayescal._model.installed import list_installed, load_instrument
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, format_model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.prior import KINDS
+from bayescal._model.prior import PRIORS
 from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
@@ -53,7 +53,7 @@ PARSE_ERRORS = (
 UNKNOWNS = "unknowns"  # key of a user-defined noise model's priors
 NOISE_ADVICE = "Give the file that defines it: --effects my_law.py (in Python: run it before load)"
 EFFECT_ADVICE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
-_PRIORS = {c.__name__: c for c in KINDS}
+_PRIORS = {c.__name__: c for c in PRIORS}
 
 
 def save(calibration: Fitted, path: Path) -> Path:
@@ -255,12 +255,12 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
 def _restore_instrument(path: Path, metadata, readings: Measurements, instruments) -> Instrument:
     """Restore an instrument with its settings; raise InputError if it is not installed."""
     by_name, name = {i.name: i for i in instruments}, metadata["instrument"]
-    if name not in (known_names := list(dict.fromkeys([*installed_names(), *by_name]))):
+    if name not in (known_names := list(dict.fromkeys([*list_installed(), *by_name]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
             f"{', '.join(known_names)}). Install the package that provides it"
         )
-    instrument = by_name[name] if name in by_name else installed_instrument(name)
+    instrument = by_name[name] if name in by_name else load_instrument(name)
     if not (settings := metadata["settings"]):
         return instrument
     if instrument.tailor is None:

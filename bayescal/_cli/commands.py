@@ -89,7 +89,7 @@ class InstrumentsCommand(AsJson, Command):
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
-        from bayescal._model.installed import installed_instruments
+        from bayescal._model.installed import load_instruments
 
         if self.check is not None:
             instrument = instrument_named(self.check)
@@ -102,7 +102,7 @@ class InstrumentsCommand(AsJson, Command):
 
         if self.name is not None:
             return Answer(*format_instrument(instrument_named(self.name)))
-        return Answer(*format_instruments(installed_instruments()))
+        return Answer(*format_instruments(load_instruments()))
 
 
 class EffectsCommand(AsJson, Command):

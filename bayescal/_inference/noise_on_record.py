@@ -18,7 +18,7 @@ from bayescal._core.lazy_jax import jax
 from bayescal._inference.programs import compile_on_call
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import LOG_2PI, Noise, add_variance, log_density_with_extra
+from bayescal._model.noise_law import LOG_2PI, Noise, add_variance, compute_log_density
 
 Values = Mapping[str, Any]  # φ by name, one number each
 Batch = Mapping[str, Any]  # φ by name, one number per draw, or one for all
@@ -185,7 +185,7 @@ def density_terms(
 def _run_densities(law: Noise, frame: Frame, y, residuals, extra, values):
     def log_density(args):
         residual, extra, phi = args
-        return log_density_with_extra(law, y, y - residual, extra, phi, frame)
+        return compute_log_density(law, y, y - residual, extra, phi, frame)
 
     return jax.lax.map(log_density, (residuals, extra, values))
 

@@ -25,7 +25,7 @@ from bayescal._model.composition import (
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import NONLINEAR, Layout, Unknown
 from bayescal._model.prior import slope
-from bayescal._model.terms import PriorDeviations, Term, terms_of
+from bayescal._model.terms import PriorDeviations, Term, build_terms
 
 Values = dict[str, float]
 Arrays = Mapping[str, Any]
@@ -73,7 +73,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        terms = terms_of(layout.blocks, self.record, self.size_factors)
+        terms = build_terms(layout.blocks, self.record, self.size_factors)
         self.terms: tuple[Term, ...] = terms[0]
         self.corrected_columns: tuple[str, ...] = terms[1]
         self.host: Host = Host(self.record)

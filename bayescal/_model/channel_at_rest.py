@@ -9,7 +9,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument, Slot, Slots
 
 
-def _evaluate_constant_response(slots: Slots, r: Frame) -> Any:
+def _evaluate_constant_response(slots: Slots, frame: Frame) -> Any:
     return slots["rest"]
 
 

@@ -33,7 +33,7 @@ class ColumnSource(Protocol):
     codes: Mapping[str, Any]  # group → index of each reading's member (n,), −1 for none
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:
-        """Return the basis columns of a term's effect (…, n, k), and their derivatives by corrected column."""
+        """Return the basis columns (…, n, k) of a term's effect at `shapes`; with_grad: also derivatives by column."""
         ...
 
     def response(self, slots: dict, shifts: dict) -> Any:
@@ -100,7 +100,7 @@ def compose(
     hyper: Hyper,
     with_grad: bool = False,
 ) -> ResponseArguments:
-    """Sum the terms of each slot; with_grad: also differentiate basis columns with respect to corrected columns.
+    """Sum the terms of each slot, of coefficients `values`; with_grad: differentiate bases by corrected columns too.
 
     Bases of effects that correct a column are evaluated on the recorded columns, all others on corrected ones.
     """
@@ -126,7 +126,7 @@ def compose(
 
 
 def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, Any]]) -> None:
-    """Add the terms of one effect, (term, column, coefficient), to the totals of their slots."""
+    """Add the terms of one effect, triples (term, basis column, coefficient), to the totals of their slots."""
     for slot, group in groupby(triples, lambda triple: triple[0].slot):
         parts = list(group)
         if len(parts) > 2 and all(v.shape[-1] == 1 and c.ndim == 1 for _, c, v in parts):
@@ -155,7 +155,7 @@ def differentiate_output(
 def linearise_output(
     source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> Linearisation:
-    """Return the expected output and its Jacobian with respect to coefficients; `composed` by `compose` with_grad."""
+    """Return the expected output and its Jacobian with respect to coefficients; `composed`: by `compose` with_grad."""
     mean, derivatives = differentiate_output(source, terms, composed)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
     triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, composed.columns, strict=True)]
@@ -211,7 +211,7 @@ def expand_members(column: Any, codes: Any, size: int) -> Any:
 
 
 class TracedColumns:
-    """`ColumnSource` in a JAX program, for one draw; differentiable."""
+    """Source of basis columns and responses in a JAX program, for one draw: a differentiable `ColumnSource`."""
 
     xp = jnp
 
@@ -266,7 +266,7 @@ class TracedColumns:
 def differentiate_response(
     response: Any, slots: dict[str, Any], shifts: dict[str, Any], reverse_mode: bool
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a response (n,) and its derivatives by slot and column shift; reverse mode is faster for many slots."""
+    """Return a response (n,) and its derivatives by slot and column; `reverse_mode` is faster for many slots."""
     if reverse_mode and not shifts:
         mean, vjp = jax.vjp(lambda values: response(values, {}), slots)
         return mean, vjp(jnp.ones_like(mean))[0]

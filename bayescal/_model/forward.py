@@ -10,9 +10,9 @@ from jaxtyping import Float
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model import composition
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import log_density_with_extra, sort_by_time
+from bayescal._model.noise_law import compute_log_density, sort_by_time
 from bayescal._model.parameters import Layout
-from bayescal._model.terms import PriorDeviations, Term, terms_of
+from bayescal._model.terms import PriorDeviations, Term, build_terms
 
 Values = dict[str, Float[Array, "..."]]
 
@@ -21,7 +21,7 @@ def prior_sd(
     layout: Layout, hyper: Values, flat_scales: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
     """Return the prior standard deviation of x given φ (p,); `flat_scales` where the prior is flat."""
-    terms, _ = terms_of(layout.x_blocks)
+    terms, _ = build_terms(layout.x_blocks)
     sd = PriorDeviations(terms, layout.model.effects, layout.size).evaluate(hyper)
     return jnp.where(layout.weight_of_x > 0, sd, flat_scales * sd)
 
@@ -29,9 +29,9 @@ def prior_sd(
 def compose_at(
     layout: Layout, frame: Frame, x: Array, hyper: Values, with_grad: bool = False
 ) -> tuple[composition.TracedColumns, tuple[Term, ...], composition.ResponseArguments]:
-    """Return the column source, the terms and the response's arguments (slot values) at (x, φ)."""
+    """Return the column source, the terms, and the arguments of the response at (x, φ)."""
     source = composition.TracedColumns(layout.model.instrument, frame)
-    terms, _ = terms_of(layout.blocks, source)
+    terms, _ = build_terms(layout.blocks, source)
     values = [composition.expand_coefficient(source, t, x, hyper) for t in terms]
     return source, terms, composition.compose(source, terms, values, hyper, with_grad)
 
@@ -46,7 +46,7 @@ def linearise(
 def predict_moments(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
-    """Return the expected output (n,), and the variance of each reading from noisy inputs (n,), None without these."""
+    """Return the expected output (n,), and each reading's variance due to noisy inputs (n,), or None without these."""
     has_noisy_inputs = any(b.place == "input" for b in layout.blocks)
     source, terms, composed = compose_at(layout, frame, x, hyper, with_grad=has_noisy_inputs)
     if not has_noisy_inputs:
@@ -58,11 +58,11 @@ def predict_moments(
 def log_likelihood(
     layout: Layout, frame: Frame, y: Float[Array, "n"], x: Float[Array, "p"], hyper: Values
 ) -> Float[Array, "n"]:
-    """Return the log density of each reading given every unknown; in the order of time under correlated noise."""
-    noise, (expected, extra) = layout.model.noise, predict_moments(layout, frame, x, hyper)
-    # Correlated noise is never combined with noisy inputs, so that `extra` need not be sorted.
+    """Return the log density of each reading given x and φ (n,), sorted by time within runs if noise is correlated."""
+    noise, (expected, input_variance) = layout.model.noise, predict_moments(layout, frame, x, hyper)
+    # Correlated noise is never combined with noisy inputs, so that `input_variance` need not be sorted.
     ordered, y, expected = sort_by_time(noise, frame, y, expected)
-    return log_density_with_extra(noise, y, expected, extra, hyper, ordered)
+    return compute_log_density(noise, y, expected, input_variance, hyper, ordered)
 
 
 def log_prior_x(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Float[Array, ""]:
@@ -73,12 +73,12 @@ def log_prior_x(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Float[Ar
 
 
 def draw_readings(layout: Layout, frame: Frame, x: Array, v: Array, key: Array) -> Array:
-    """Draw readings from the predictive distribution at (x, φ); noise on inputs to first order."""
+    """Draw readings (n,) given x and the coordinates v of φ; noise on inputs is included to first order."""
     hyper, noise = layout.hyper(v), layout.model.noise
-    expected, extra = predict_moments(layout, frame, x, hyper)
-    if extra is not None:
+    expected, input_variance = predict_moments(layout, frame, x, hyper)
+    if input_variance is not None:
         key, subkey = jax.random.split(key)
-        expected = expected + jnp.sqrt(extra) * jax.random.normal(subkey, expected.shape)
+        expected = expected + jnp.sqrt(input_variance) * jax.random.normal(subkey, expected.shape)
     ordered, expected = sort_by_time(noise, frame, expected)
     readings = noise.sample(key, expected, hyper, ordered)
     return readings if noise.independent else jnp.zeros_like(readings).at[frame.order].set(readings)

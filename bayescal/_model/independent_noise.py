@@ -45,7 +45,7 @@ class White(Noise):
         return (WHITE,)
 
     def variance_coordinate(self, frame: Frame) -> np.ndarray | None:
-        """Return the logarithm of the known uncertainties, −∞ for all readings if there are none."""
+        """Return log known uncertainties (n,), −∞ for all if none are known; None if one of them is zero."""
         sigma = frame.columns.get(UNCERTAINTY)
         if sigma is None:
             return np.array(-np.inf)
@@ -59,7 +59,7 @@ class White(Noise):
 
 
 class Heteroscedastic(Noise):
-    """Independent Gaussian noise whose log standard deviation is quadratic in a column, or which is proportional to it.
+    """Independent Gaussian noise whose log standard deviation is quadratic in a column, or proportional noise.
 
     σᵢ = σ·exp(a·zᵢ + b·(3zᵢ² − 1)/2), in addition to each reading's known uncertainty; z is the column scaled to −1 … 1
     over its range at the fit, clipped outside. σ is `noise.white`, a `noise.slope`, b `noise.curvature`:
@@ -125,14 +125,14 @@ class Heteroscedastic(Noise):
     def variance_at(self, values: Parameters, coordinate: np.ndarray) -> Any:
         if self.proportional:
             return values[WHITE] ** 2 + (values[PROPORTIONAL] * np.exp(coordinate)) ** 2
-        return (values[WHITE] * relative_scatter(values, coordinate)) ** 2
+        return (values[WHITE] * compute_relative_scatter(values, coordinate)) ** 2
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         position = self._scale_column(frame)
         if self.proportional:
             return white_variance(parameters, frame) + (parameters[PROPORTIONAL] * position) ** 2
         return white_variance(
-            {WHITE: parameters[WHITE] * relative_scatter(parameters, position)}, frame
+            {WHITE: parameters[WHITE] * compute_relative_scatter(parameters, position)}, frame
         )
 
 
@@ -141,10 +141,10 @@ def scale_covariate(frame: Frame, column: str) -> Float[Array, "n"]:
     return xp.clip(2 * frame.position(column) - 1, -1.0, 1.0)
 
 
-def relative_scatter(values: Parameters, place: Any) -> Any:
-    """Return the standard deviation at scaled covariates −1 … 1, relative to its geometric mean."""
+def compute_relative_scatter(values: Parameters, position: Any) -> Any:
+    """Return the standard deviation over its geometric mean, at values −1 … 1 of the scaled covariate."""
     # The Legendre polynomials P₁ and P₂ have zero mean over −1 … 1, so that log σ is the mean of log sd.
-    return xp.exp(values[SLOPE] * place + values[CURVATURE] * (1.5 * place**2 - 0.5))
+    return xp.exp(values[SLOPE] * position + values[CURVATURE] * (1.5 * position**2 - 0.5))
 
 
 @offered
@@ -194,9 +194,9 @@ class StudentT(Noise):
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         dof, variance = parameters[DOF], white_variance(parameters, frame)
-        half, gammaln = 0.5 * (dof + 1), get_special_functions((dof, mean)).gammaln
-        log_norm = gammaln(half) - gammaln(0.5 * dof) - 0.5 * xp.log(xp.pi * dof * variance)
-        return log_norm - half * xp.log1p((y - mean) ** 2 / (dof * variance))
+        half_dof, gammaln = 0.5 * (dof + 1), get_special_functions((dof, mean)).gammaln
+        log_norm = gammaln(half_dof) - gammaln(0.5 * dof) - 0.5 * xp.log(xp.pi * dof * variance)
+        return log_norm - half_dof * xp.log1p((y - mean) ** 2 / (dof * variance))
 
     def by_residual(self, residuals: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
         dof = parameters[DOF]

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 GROUP = "bayescal.instruments"
 
 
-def installed_names() -> list[str]:
+def list_installed() -> list[str]:
     """Return the names of the installed instruments, without loading one."""
     return sorted(entry_points(group=GROUP).names)
 
 
-def installed_instrument(name: str) -> Instrument:
+def load_instrument(name: str) -> Instrument:
     """Load an installed instrument by name; raise InputError if there is none."""
-    if name not in (names := installed_names()):
+    if name not in (names := list_installed()):
         raise InputError(
             f"no instrument is called {name!r}; installed: {', '.join(names) or 'none'}. "
             "For one of your own give my.py:INSTRUMENT"
@@ -28,6 +28,6 @@ def installed_instrument(name: str) -> Instrument:
     return entry_points(group=GROUP)[name].load()
 
 
-def installed_instruments() -> dict[str, Instrument]:
+def load_instruments() -> dict[str, Instrument]:
     """Load every installed instrument, by name."""
-    return {name: installed_instrument(name) for name in installed_names()}
+    return {name: load_instrument(name) for name in list_installed()}

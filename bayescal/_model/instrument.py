@@ -26,7 +26,7 @@ from bayescal._model.effect import READING, Coefficient, Effect, effects_table, 
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
-from bayescal._model.unknown_effect import FREED, freed, make_placeholder, parse_covariate
+from bayescal._model.unknown_effect import FREED_SUFFIX, freed, make_placeholder, parse_covariate
 from bayescal._model.vector import Vector
 
 Slots = Mapping[str, Float[Array, "n"]]
@@ -35,7 +35,7 @@ Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them
 
 @static
 class Slot:
-    """Quantity in a measurement equation to which effects add; it is zero without effects."""
+    """Quantity in a measurement equation to which effects add: a sum of effects, zero if there are none."""
 
     name: str
     unit: str
@@ -69,18 +69,18 @@ class Instrument:
 
     Attributes:
         name: folder and command-line name, such as "mems_gyro".
-        title: description in one line.
+        title: description of the instrument in one line.
         columns: columns of a file of readings, "output" among them.
         slots: quantities that effects add to.
-        response: function of slots and readings that returns the expected output, each reading's from its own slots.
+        response: function of slots and frame that returns the expected output (n,), each from its reading's slots.
         effects: effects of the baseline model.
-        candidates: further effects that `discover` considers.
+        candidates: further effects that a search, `discover`, may add.
         nuisances: effects of the test that are added to every fit whose readings can test them, such as an unstated
             local gravity; they contribute to the coefficients' uncertainty.
         noise: noise law of the baseline model.
-        noise_laws: further laws that a search evaluates, in addition to those offered for any record.
+        noise_laws: further laws that a search evaluates, besides those offered for every record (`offered`).
         nominal_scale: conversion of raw outputs (V, Hz) to the unit of the output.
-        structures: further models to compare: name, and function that builds the model.
+        structures: further models to compare, (name, function that builds the model).
         simulator: `simulator(effects, seed=…, **options)` returns the columns of a simulated campaign, by name; an
             undeclared column is named with its unit, `humidity [%]`. `simulate` converts them to measurements.
         experiments: feasible further campaigns: description, and function that returns the columns it would record;
@@ -102,7 +102,7 @@ class Instrument:
     effects: tuple[Effect, ...]
     candidates: tuple[Effect, ...] = ()
     nuisances: tuple[Effect, ...] = ()
-    noise: Noise = field(default_factory=Noise.usual)
+    noise: Noise = field(default_factory=Noise.default)
     noise_laws: tuple[Noise, ...] = ()
     nominal_scale: NominalScale | None = None
     structures: tuple[tuple[str, Callable[[], Any]], ...] = ()
@@ -126,7 +126,7 @@ class Instrument:
         for effect in (*self.effects, *self.candidates):
             for coefficient in effect.coefficients:
                 if (coefficient.slot or effect.slot) in names:
-                    factor_of(self, effect, coefficient)
+                    compute_factor(self, effect, coefficient)
         if self.use is None:
             return
         for slot in self.use.slots:
@@ -181,7 +181,7 @@ class Instrument:
             ValueError: an argument is invalid for the simulator, such as an unknown effect.
         """
         if self.simulator is None:
-            raise ModelError(f"instrument {self.name!r} has no simulator")
+            raise ModelError(f"instrument {self.name!r} has no `simulator`: define one")
         return Measurements.from_arrays(self, **self.simulator(effects, seed=seed, **options))
 
     if TYPE_CHECKING:
@@ -247,22 +247,22 @@ class Instrument:
             return effect
         if covariate := parse_covariate(name):
             return self.unknown(covariate)
-        if name.endswith(FREED):
-            return freed(self.effect(name.removesuffix(FREED), more))
+        if name.endswith(FREED_SUFFIX):
+            return freed(self.effect(name.removesuffix(FREED_SUFFIX), more))
         raise ModelError(
             f"instrument {self.name!r} has no effect {name!r}; it has {', '.join(self.known)}. "
             "Define one of your own with --effects or --effect (in Python: a bayescal.Effect)"
         )
 
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
-        """Return the effects of the instrument and in `more` whose columns these readings all contain."""
+        """Return the effects of the instrument and in `more` whose columns are all in the frame."""
         effects = {**self.known, **{e.name: e for e in more}}
         labels = (label.split("=")[0] for label in frame.labels)
         available = {*frame.columns, *frame.codes, *labels, "temperature_point"}
         return tuple(e for e in effects.values() if available.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
-        """Return an effect for an unknown dependence of the output on a covariate: a smooth curve or another form.
+        """Return a placeholder effect: an unknown dependence of the output on a covariate, smooth or of another form.
 
         Its plausible amplitudes are estimated from the readings to which the model is fitted.
 
@@ -285,14 +285,14 @@ class Instrument:
 def _unpickle(
     module: str, name: str, changed_fields: dict[str, Any] | None, settings: dict[str, Any]
 ) -> Instrument:
-    """Restore a pickled instrument from the definition in its module, tailored again or with changed fields."""
+    """Restore a pickled instrument from its definition in a module, tailored with `settings` or with changed fields."""
     instrument: Any = getattr(import_module(module), name)
     if settings:
         return instrument.tailor(None, **settings)
     return replace(instrument, **changed_fields) if changed_fields else instrument
 
 
-def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) -> float:
+def compute_factor(instrument: Instrument, effect: Effect, coefficient: Coefficient) -> float:
     """Return the factor that converts coefficient × basis column to the slot's unit.
 
     The coefficient is in its reported unit; basis inputs are in declared units, or base units if undeclared.

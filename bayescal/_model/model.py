@@ -17,7 +17,7 @@ from bayescal._data.unit_conversion import ANY
 from bayescal._model.effect import READING, Coefficient, Effect, effects_table
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS, list_covariates
-from bayescal._model.instrument import Instrument, factor_of
+from bayescal._model.instrument import Instrument, compute_factor
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.prior import Normal
 from bayescal._model.static import static
@@ -45,7 +45,7 @@ class Model(Printed):
         for effect in self.effects:
             for coefficient in effect.coefficients:
                 if self.instrument.slot(coefficient.slot or effect.slot).unit != ANY:
-                    factor_of(self.instrument, effect, coefficient)
+                    compute_factor(self.instrument, effect, coefficient)
                 _require_known_group(self.instrument, effect, coefficient.per)
 
     def _list_parts(self) -> list[str | ResultTable]:

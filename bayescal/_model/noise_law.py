@@ -27,7 +27,7 @@ from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, covariate_columns
 from bayescal._model.noise_spectrum import SpectralTerm
-from bayescal._model.prior import KINDS, Positive
+from bayescal._model.prior import PRIORS, Positive
 from bayescal._model.static import static
 
 Parameters = Mapping[str, Any]  # values by name, in their units
@@ -36,7 +36,7 @@ LOG_2PI = math.log(2 * math.pi)
 AVERAGING_TIMES = np.geomspace(0.1, 0.5, 9)  # for Allan deviations, in lengths of the longest run
 
 
-@renamed(known="registry")
+@renamed(known="registry", usual="default", followed="covariate")
 @static
 @dataclass_transform(frozen_default=True)
 class Noise(abc.ABC):
@@ -79,9 +79,9 @@ class Noise(abc.ABC):
         static(cls)
 
     @classmethod
-    def usual(cls) -> Noise:
+    def default(cls) -> Noise:
         """Return the default noise law, with which a search begins."""
-        return next(kind() for kind in Noise.registry.values() if kind.first)
+        return next(law_class() for law_class in Noise.registry.values() if law_class.first)
 
     @classmethod
     def correlates(cls, name: str) -> bool:
@@ -109,7 +109,7 @@ class Noise(abc.ABC):
 
     @property
     def name(self) -> str:
-        """Return the name of the law, with its covariate."""
+        """Return the name of the law, with its terms and covariates if it has any."""
         return self.law
 
     @property
@@ -165,12 +165,12 @@ class Noise(abc.ABC):
     def sample(
         self, key: Array, mean: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """Draw readings about the expected output."""
+        """Draw readings about the expected output (n,), output unit."""
         sd = jnp.sqrt(self.variance(parameters, frame))
         return mean + sd * jax.random.normal(key, mean.shape)
 
     def even(self, frame: Frame) -> bool:
-        """Return whether readings are independent with one common variance (homoscedastic)."""
+        """Return whether readings are independent and of one common variance."""
         coordinate = self.variance_coordinate(frame)
         return coordinate is not None and coordinate.ndim == 0
 
@@ -188,27 +188,27 @@ class Noise(abc.ABC):
     def whiten(
         self,
         columns: Float[Array, "n m"],
-        extra: Float[Array, "n"] | float,
+        added_variance: Float[Array, "n"] | float,
         parameters: Parameters,
         frame: Frame,
     ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-        """Return L⁻¹·columns (n, m) and log Lᵢᵢ (n,), L the lower Cholesky factor of noise covariance + diag(extra)."""
-        variance = self.variance(parameters, frame) + extra
+        """Return L⁻¹·columns (n, m) and log Lᵢᵢ (n,), L the lower Cholesky factor of the total covariance."""
+        variance = self.variance(parameters, frame) + added_variance
         sd = jnp.sqrt(jnp.broadcast_to(variance, (frame.size,)))
         return columns / sd[:, None], jnp.log(sd)
 
     def normal_scores(
         self, residuals: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """Transform residuals to scores that are independent standard normal under this law."""
+        """Transform residuals to scores (n,) that are independent and standard normal under this law."""
         return self.whiten(residuals[:, None], 0.0, parameters, frame)[0][:, 0]
 
-    def followed(self, frame: Frame) -> Float[Array, "n"] | None:
-        """Return the covariate of the correlated part, scaled to −1 … 1 over the readings of the fit; None if none."""
+    def covariate(self, frame: Frame) -> Float[Array, "n"] | None:
+        """Return the covariate of a tone's frequency (n,), scaled to −1 … 1 over its range at the fit; None if none."""
         return None
 
     def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
-        """Return starting points of an optimisation of the parameters, each by name; a point may omit parameters.
+        """Return starting points of an optimisation of the parameters, each name → value; a point may omit parameters.
 
         Readings and residuals (output unit) are sorted by time if the law is correlated.
         """
@@ -259,33 +259,33 @@ class Noise(abc.ABC):
         values: Parameters,
         time: Float[np.ndarray, "n"],
         residuals: Float[np.ndarray, "n b"],
-        white: Float[np.ndarray, "n"],
-        at: Float[np.ndarray, "m"],
-        along: tuple[np.ndarray, np.ndarray] | None = None,
+        white_var: Float[np.ndarray, "n"],
+        new_time: Float[np.ndarray, "m"],
+        covariates: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
-        """Return the smoothed mean and variance of the correlated noise at times `at` of a run, given its residuals.
+        """Return the smoothed mean and variance of the correlated noise of a run at `new_time`, given its residuals.
 
-        The mean is linear in residuals, output unit, one column per set of coefficients. white: white-noise variance of
-        each reading. along: covariate of the correlated part, at the readings and at times `at`.
+        The mean is linear in residuals, output unit, one column per set of coefficients. white_var: variance of each
+        reading's white noise. covariates: the tone's covariate at the readings and at `new_time`; None if it has none.
         """
-        return np.zeros((len(at), residuals.shape[1])), np.zeros(len(at))
+        return np.zeros((len(new_time), residuals.shape[1])), np.zeros(len(new_time))
 
 
-def log_density_with_extra(
+def compute_log_density(
     law: Noise,
     y: Float[Array, "n"],
     mean: Float[Array, "n"],
-    extra: Float[Array, "n"] | None,
+    added_variance: Float[Array, "n"] | None,
     parameters: Parameters,
     frame: Frame,
 ) -> Float[Array, "n"]:
-    """Return the log density of each reading, with `extra` as additional variance of each (None: zero).
+    """Return the log density of each reading, with `added_variance` as additional variance of each (None: zero).
 
-    If the law is not Gaussian, `extra` is added to each reading's known variance.
+    If the law is not Gaussian, `added_variance` is added to each reading's known variance.
     """
-    if law.gaussian and extra is not None:
-        return _log_density_by_whitening(law, y - mean, extra, parameters, frame)
-    return law.log_density(y, mean, parameters, add_variance(frame, extra))
+    if law.gaussian and added_variance is not None:
+        return _log_density_by_whitening(law, y - mean, added_variance, parameters, frame)
+    return law.log_density(y, mean, parameters, add_variance(frame, added_variance))
 
 
 def _log_density_by_whitening(
@@ -317,7 +317,7 @@ def sort_by_time(
 @cache
 def _replace_priors_by_defaults(law: Noise) -> Noise:
     # A program is compiled per law; it does not use priors, which would otherwise cause needless compilations.
-    defaults = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), KINDS)}
+    defaults = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), PRIORS)}
     return replace(law, **{n: prior for n, prior in defaults.items() if prior is not MISSING})
 
 

@@ -27,12 +27,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-Lambda = Float[np.ndarray, "j"]
+Eigenvalues = Float[np.ndarray, "j"]
 COMPLEX_STEP = 1 + 1e-30j  # factor of an argument, whose real part it leaves unchanged
 
 
 class SpectralTerm(NamedTuple):
-    """Cosine transform of a noise term's covariance on a run: diag(symbol) − Σ± U·M±·Uᵀ, symbols as in the module."""
+    """Cosine transform of a noise term's covariance on a run, diag(symbol) − Σ± U·M±·Uᵀ; notation of the module."""
 
     symbol: Any  # Toeplitz symbol, the diagonal in frequency (s, j), output unit squared
     # q functions of λ (s, j): multiplied by the transform of e± they are the columns of U
@@ -40,7 +40,7 @@ class SpectralTerm(NamedTuple):
     correction: Callable[[int, int], Any]  # (run length, sign ±1) → M± (q, q, s)
 
 
-def compute_eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
+def compute_eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Eigenvalues:
     """Return the Laplacian's eigenvalues λ = 2 − 2·cos(πk/n) of a run of n readings, for real frequency indices k."""
     return 4 * np.sin(0.5 * np.pi * k / n) ** 2
 
@@ -53,20 +53,20 @@ def transform_end(n: int, sign: int) -> Float[np.ndarray, "n"]:
     return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * first, 0.0)
 
 
-def exponential(variance: Any, rate: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the transformed covariance of a process of correlation Re exp(−rate·Δt); a narrow line if complex."""
+def transform_exponential(variance: Any, rate: Any, step: float, lam: Eigenvalues) -> SpectralTerm:
+    """Return the transformed covariance for the correlation Re exp(−rate·Δt); a complex rate, 1/s, is a narrow line."""
     x = -np.asarray(rate) * step
     symbol = variance * _compute_symbol(x, lam)
-    count = 2 if np.iscomplexobj(x) else 1
+    end_count = 2 if np.iscomplexobj(x) else 1
 
-    def correction(n: int, sign: int) -> Any:
+    def compute_correction(n: int, sign: int) -> Any:
         m = _compute_end_coefficient(variance, x, n, sign)
-        return np.array([[m.real, -m.imag], [-m.imag, -m.real]])[:count, :count]
+        return np.array([[m.real, -m.imag], [-m.imag, -m.real]])[:end_count, :end_count]
 
-    return SpectralTerm(symbol.real, (symbol.real, symbol.imag)[:count], correction)
+    return SpectralTerm(symbol.real, (symbol.real, symbol.imag)[:end_count], compute_correction)
 
 
-def _compute_symbol(x: Any, lam: Lambda) -> Any:
+def _compute_symbol(x: Any, lam: Eigenvalues) -> Any:
     """Return the Toeplitz symbol ν(λ), λ = 2 − 2·cos ω, of the unit-variance correlation aᵏ at lag k, a = exp(x)."""
     one_minus_a = -np.expm1(x)
     return one_minus_a * (2 - one_minus_a) / (one_minus_a**2 + (1 - one_minus_a) * lam)
@@ -81,19 +81,19 @@ def _compute_end_coefficient(variance: Any, x: Any, n: int, sign: int) -> Any:
     return np.reshape(1 / (variance * ((1 + a) / a + end_variance)), -1)
 
 
-def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the transformed covariance of a Matérn-3/2 process, of correlation (1 + x)·exp(−x), x = √3·Δt/time.
+def transform_matern(variance: Any, time: Any, step: float, lam: Eigenvalues) -> SpectralTerm:
+    """Return the transformed covariance of a Matérn-3/2 process: correlation (1 + x)·exp(−x), x = √3·Δt/time.
 
     With x = r·Δt, (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r: formulas of e⁻ˣ minus their complex-step derivatives ∂/∂log r.
     """
     x = -math.sqrt(3) * step / time * COMPLEX_STEP
     symbol, derivative = differentiate(variance * _compute_symbol(x, lam))
 
-    def correction(n: int, sign: int) -> Any:
+    def compute_correction(n: int, sign: int) -> Any:
         m, dm = differentiate(_compute_end_coefficient(variance, x, n, sign))
         return np.array([[m - dm, -m], [-m, np.zeros_like(m)]])
 
-    return SpectralTerm(symbol - derivative, (symbol, derivative), correction)
+    return SpectralTerm(symbol - derivative, (symbol, derivative), compute_correction)
 
 
 def differentiate(values: Any) -> tuple[Any, Any]:
@@ -101,7 +101,7 @@ def differentiate(values: Any) -> tuple[Any, Any]:
     return values.real, values.imag / COMPLEX_STEP.imag
 
 
-def moving_average(sd: Any, theta: float, lam: Lambda) -> SpectralTerm:
+def transform_moving_average(sd: Any, theta: float, lam: Eigenvalues) -> SpectralTerm:
     """Return the transformed covariance of a moving average eₜ + θ·eₜ₋₁, θ = ±1, of errors e of standard deviation sd.
 
     The covariance of differences is sd²·(L + e₊e₊ᵀ + e₋e₋ᵀ), of sums sd²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).

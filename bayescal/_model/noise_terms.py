@@ -22,7 +22,7 @@ from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import COMPLEX_STEP, SpectralTerm, differentiate
 from bayescal._model.prior import LogUniform, Normal, Positive, scale_prior
-from bayescal._model.state_space import Block, exponential_block, matrix_2x2
+from bayescal._model.state_space import Block, build_exponential, stack_2x2
 from bayescal._model.static import static
 
 Values = Mapping[str, Any]
@@ -70,7 +70,7 @@ class NoiseTerm(abc.ABC):
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, tuple[Any, str]]:
-        """Return prior and unit of each parameter, the amplitude first; "{}" stands for the output unit."""
+        """Return (prior, unit) of each parameter, by name, the amplitude first; "{}" in a unit is the output unit."""
 
     @abc.abstractmethod
     def block(self, values: Values, h: Float[Array, "n"]) -> Block:
@@ -78,7 +78,7 @@ class NoiseTerm(abc.ABC):
 
     @abc.abstractmethod
     def variance(self, values: Values) -> Any:
-        """Return the stationary variance of the term, output unit squared."""
+        """Return the stationary variance of the term at values of its parameters, output unit squared."""
 
     def spectrum(
         self, values: Values, step: float, lam: Float[np.ndarray, "j"]
@@ -116,22 +116,22 @@ class ExponentialTerm(NoiseTerm):
 
     @abc.abstractmethod
     def processes(self, values: Values) -> list[tuple[Any, Any]]:
-        """Return variance, output unit squared, and rate, 1/s, of each process, of correlation Re exp(−rate·Δt)."""
+        """Return (variance, rate) of each process: output unit squared, 1/s; its correlation is Re exp(−rate·Δt)."""
 
     def variance(self, values):
         return sum(variance for variance, _ in self.processes(values))
 
     def block(self, values, h):
         variances, rates = map(jnp.asarray, zip(*self.processes(values), strict=True))
-        return exponential_block(1 / rates, variances, h)
+        return build_exponential(1 / rates, variances, h)
 
     def spectrum(self, values, step, lam):
-        pairs = self.processes(values)
-        return [noise_spectrum.exponential(variance, rate, step, lam) for variance, rate in pairs]
+        transform = noise_spectrum.transform_exponential
+        return [transform(variance, rate, step, lam) for variance, rate in self.processes(values)]
 
     def allan(self, values, m, step):
         pairs = self.processes(values)
-        return sum(variance * allan_of_exponential(m, step * rate).real for variance, rate in pairs)
+        return sum(variance * evaluate_allan(m, step * rate).real for variance, rate in pairs)
 
 
 @static
@@ -239,11 +239,11 @@ class SmoothTerm(NoiseTerm):
         return values["noise.smooth"] ** 2
 
     def block(self, values, h):
-        size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
+        sd, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
         # x = λ·Δt exp(M·Δt) = e⁻ˣ·(1 + (M + λ)·Δt) ends after two terms: e⁻ˣ·[[1 + x, x], [−x, 1 − x]] = A.
         decay, z = jnp.exp(-x), 2 * x
-        transition = decay[:, None, None] * matrix_2x2(1 + x, x, -x, 1 - x)
+        transition = decay[:, None, None] * stack_2x2(1 + x, x, -x, 1 - x)
         # For states of variance one the process noise is 1 − A·Aᵀ; its element ff is 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x,
         # or for small z e⁻ᶻ·(z³/6 + z⁴/24 + …); fg = 2x²·e⁻²ˣ; gg = 1 − e⁻²ˣ·(x² + (1 − x)²).
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
@@ -251,17 +251,17 @@ class SmoothTerm(NoiseTerm):
         noise = jnp.where(z < SERIES_LIMIT, decay**2 * series, closed_form)
         cross = decay**2 * z**2 / 2
         slope = -jnp.expm1(-z) + decay**2 * (z - z**2 / 2)
-        covariance = size**2 * matrix_2x2(noise, cross, cross, slope)
-        return Block(transition, covariance, size**2 * jnp.eye(2))
+        covariance = sd**2 * stack_2x2(noise, cross, cross, slope)
+        return Block(transition, covariance, sd**2 * jnp.eye(2))
 
     def spectrum(self, values, step, lam):
         arguments = self.variance(values), values["noise.smooth.time"]
-        return [noise_spectrum.matern(*arguments, step, lam)]
+        return [noise_spectrum.transform_matern(*arguments, step, lam)]
 
     def allan(self, values, m, step):
         """Return the Allan variance c − ∂c/∂log a, c(a) that of correlation exp(−a·k); by complex step or series."""
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
-        c, slope = differentiate(allan_of_exponential(m + 0j, a * COMPLEX_STEP))
+        c, slope = differentiate(evaluate_allan(m + 0j, a * COMPLEX_STEP))
         x = m * a
         series = x**2 / 2 - 7 * x**3 / 15
         unit_variance = np.where(x < ALLAN_SERIES_LIMIT, series, c - slope)
@@ -297,30 +297,30 @@ class ToneTerm(ExponentialTerm):
         # Two quadratures rotated by 2πf·Δt and damped as an Ornstein–Uhlenbeck process: half width 1/(2π·time).
         phase = rate.imag * h
         c, s = jnp.cos(phase), jnp.sin(phase)
-        ou = exponential_block(values["noise.tone.time"], variance, h)
+        ou = build_exponential(values["noise.tone.time"], variance, h)
         eye = jnp.eye(2)
-        return Block(ou.transition * matrix_2x2(c, s, -s, c), ou.noise * eye, ou.start * eye)
+        return Block(ou.transition * stack_2x2(c, s, -s, c), ou.noise * eye, ou.start * eye)
 
     def allan(self, values, m, step):
         """Return the Allan variance of a tone, averaged over the covariate's range if its frequency has a covariate."""
         positions = np.linspace(-1, 1, 33) if self.column else [0.0]
         pairs = [pair for z in positions for pair in self.processes(values, z)]
-        return np.mean([v * allan_of_exponential(m, step * rate).real for v, rate in pairs], axis=0)
+        return np.mean([v * evaluate_allan(m, step * rate).real for v, rate in pairs], axis=0)
 
     def starts(self, step, residuals, z):
-        """Return the spectrogram's strongest line as a starting point, frequency quadratic in z; [] for a short run."""
+        """Return the spectrogram's strongest line, frequency quadratic in z, as starting point; [] if too short."""
         period = float(np.median(step[step > 0]))
         is_even = np.abs(step / period - 1) < EVEN_STEPS
         is_complete = np.convolve(is_even, np.ones(WINDOW_SIZE - 1), "valid")[1:] == WINDOW_SIZE - 1
-        starts = np.arange(0, len(residuals) - WINDOW_SIZE + 1, WINDOW_SIZE // 2)
-        rows = starts[is_complete[starts]][:, None] + np.arange(WINDOW_SIZE)
+        window_starts = np.arange(0, len(residuals) - WINDOW_SIZE + 1, WINDOW_SIZE // 2)
+        rows = window_starts[is_complete[window_starts]][:, None] + np.arange(WINDOW_SIZE)
         if len(rows) < MIN_WINDOWS:
             return []
         window = np.hanning(WINDOW_SIZE + 2)[1:-1]
         power = _compute_relative_power(residuals[rows], window, is_varying=z is not None)
         positions = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * SLOPE_COUNT + 1) if z is not None else np.zeros(1)
-        bin_count, best = ZERO_PADDING * WINDOW_SIZE, (-math.inf, 0.0, 0.0, 0.0)
+        bin_count, line = ZERO_PADDING * WINDOW_SIZE, (-math.inf, 0.0, 0.0, 0.0)
         bins = np.arange(1, bin_count // 2)
         # Two periods of the discrete spectrum, whose upper half mirrors the lower, so that shifted indices stay valid.
         spectra = np.minimum(np.hstack([power, power[:, -2:0:-1]] * 2), MAX_RELATIVE_POWER)
@@ -329,12 +329,12 @@ class ToneTerm(ExponentialTerm):
         for a, b in itertools.product(slopes, slopes[::2] / 2):
             shifts = np.rint(bin_count * (a * positions + b * positions**2)).astype(int) % bin_count
             means = np.mean(spectra.ravel()[offsets + shifts], axis=1)
-            best = max(best, (float(means.max()), float(bins[np.argmax(means)] / bin_count), a, b))
-        peak, frequency, a, b = best
+            line = max(line, (float(means.max()), float(bins[np.argmax(means)] / bin_count), a, b))
+        peak_power, frequency, a, b = line
         # Differences of neighbours have √2 times the standard deviation; the median |difference| is 0.6745 of that.
         sd = float(np.median(np.abs(np.diff(residuals)[is_even[1:]]))) / (0.6745 * math.sqrt(2))
         # A line of variance s² in white noise of variance w² has the relative power (Σh)²·s²/(2·w²·Σh²), h the window.
-        ratio = max(peak - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
+        ratio = max(peak_power - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
         line_fraction = ratio / (1 + ratio)
         start = {
             WHITE: sd * math.sqrt(1 - line_fraction),
@@ -373,20 +373,20 @@ class MovingAverageTerm(NoiseTerm):
     theta: ClassVar[float]
 
     @abc.abstractmethod
-    def size(self, values: Values) -> Any:
+    def error_sd(self, values: Values) -> Any:
         """Return the standard deviation of the errors, output unit."""
 
     def variance(self, values):
-        return 2 * self.size(values) ** 2
+        return 2 * self.error_sd(values) ** 2
 
     def block(self, values, h):
-        square, zero = self.size(values) ** 2, 0.0 * h
-        transition = matrix_2x2(zero, zero, self.theta + zero, zero)
-        noise = matrix_2x2(square + zero, zero, zero, zero)
+        square, zero = self.error_sd(values) ** 2, 0.0 * h
+        transition = stack_2x2(zero, zero, self.theta + zero, zero)
+        noise = stack_2x2(square + zero, zero, zero, zero)
         return Block(transition, noise, square * jnp.eye(2), observes_all=True)
 
     def spectrum(self, values, step, lam):
-        return [noise_spectrum.moving_average(self.size(values), self.theta, lam)]
+        return [noise_spectrum.transform_moving_average(self.error_sd(values), self.theta, lam)]
 
 
 class QuantisationTerm(MovingAverageTerm):
@@ -399,7 +399,7 @@ class QuantisationTerm(MovingAverageTerm):
     def parameters(self):
         return {"noise.quantisation": (scale_prior(self.correlated, self.shortest), "{}*s")}
 
-    def size(self, values):
+    def error_sd(self, values):
         return values["noise.quantisation"] / self.shortest
 
     def allan(self, values, m, step):
@@ -421,7 +421,7 @@ class AveragingTerm(MovingAverageTerm):
     def parameters(self):
         return {"noise.averaging": (self.correlated, "{}")}
 
-    def size(self, values):
+    def error_sd(self, values):
         return 0.5 * values["noise.averaging"]
 
     def allan(self, values, m, step):
@@ -429,7 +429,7 @@ class AveragingTerm(MovingAverageTerm):
         return values["noise.averaging"] ** 2 * (m - 0.75) / m**2
 
 
-def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
+def evaluate_allan(m: Float[np.ndarray, "k"], a: Any) -> Any:
     """Return the Allan variance at averaging factors m of readings of unit variance and correlation exp(−a·k) at lag k.
 
     With ρ = exp(−a) and E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m = 2·V(m) − 2·V(2m), V the

@@ -21,7 +21,7 @@ from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.frame import GROUPS, origins_of
-from bayescal._model.instrument import factor_of
+from bayescal._model.instrument import compute_factor
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive, standard_deviation
 from bayescal._model.static import static
@@ -152,7 +152,7 @@ class Layout:
                 elif name in self.promoted:
                     place = "phi"
                 size = 1 if coefficient.per in (None, READING) else counts[coefficient.per]
-                factor = factor_of(self.model.instrument, effect, coefficient)
+                factor = compute_factor(self.model.instrument, effect, coefficient)
                 origin = origins.pop(name, 0.0) / factor
                 value = fixed.get(name, coefficient.mean) - origin
                 fields = (size, factor, place, start, value, origin)

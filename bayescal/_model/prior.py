@@ -31,7 +31,7 @@ class _StandardNormalPrior:
     coordinate_variance: ClassVar[float] = 1.0  # infinite if improper
 
     def log_density(self, v: Any) -> Any:
-        """Return the log density in the coordinate."""
+        """Return the log density of the coordinate at v."""
         return -0.5 * v**2 - _HALF_LOG_2PI
 
 
@@ -69,10 +69,10 @@ class Normal(_StandardNormalPrior):
 
 @static
 class Known:
-    """A constant coefficient, which is not estimated: 1 by definition, such as that of a body's temperature."""
+    """Prior of a constant coefficient, which is not estimated, such as 1 for a body's temperature."""
 
     mean: float = 1.0  # value of the constant
-    # whether the coefficient is zero in some draws, those of structures without the effect
+    # whether the coefficient is zero in draws of structures without the effect (model average)
     averaged: bool = False
     sd: float = field(default=0.0, init=False, repr=False)
 
@@ -198,18 +198,18 @@ def standard_deviation(prior: Any) -> float | None:
         case LogNormal(median, sd):
             return median * math.sqrt(math.expm1(sd**2) * math.exp(sd**2))
         case LogUniform(low, high):
-            width = math.log(high / low)
-            return math.sqrt((high**2 - low**2) / (2 * width) - ((high - low) / width) ** 2)
+            log_ratio = math.log(high / low)
+            return math.sqrt((high**2 - low**2) / (2 * log_ratio) - ((high - low) / log_ratio) ** 2)
     return None
 
 
 def convert(prior: Any, is_shape: bool = False) -> Any:
-    """Convert a NumPyro distribution (without importing NumPyro) to a prior of this module; return others unchanged.
+    """Convert a NumPyro distribution to a prior of this module, without importing NumPyro; return others unchanged.
 
     Raises:
-        ModelError: it is not a scalar normal or positive distribution with cdf and icdf, or invalid for a shape.
+        ModelError: it is not a scalar normal or positive distribution with cdf and icdf, or `is_shape` and not for one.
     """
-    name, reason = type(prior).__name__, "a shape does not take it"
+    name, reason = type(prior).__name__, "a shape cannot have it"
     if not type(prior).__module__.startswith("numpyro."):
         if not is_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):
             return prior
@@ -231,7 +231,7 @@ def convert(prior: Any, is_shape: bool = False) -> Any:
     raise ModelError(f"prior {name}: {reason}. {hint} Normal or a positive distribution with icdf")
 
 
-KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)
+PRIORS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)
 Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
 
 

@@ -1,4 +1,4 @@
-"""State-space form of correlated noise, and its Kalman filter, which whitens residuals, and smoother."""
+"""State-space form of correlated noise, its Kalman filter, which whitens residuals, and its smoother."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ class Block(NamedTuple):
     noise: Float[Array, "n k k"]  # covariance Q of the process noise
     start: Float[Array, "k k"]  # stationary covariance
     observes_all: bool = False  # whether a reading observes the sum of all states, or the first
-    coupled: bool = True  # whether it has two states, each driven by both, or independent ones
+    is_coupled: bool = True  # whether it has two states, each driven by both, or independent ones
 
 
-def exponential_block(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
-    """Return the block of independent Ornstein–Uhlenbeck processes with correlation times (k,) and variances (k,)."""
+def build_exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
+    """Build the block of independent Ornstein–Uhlenbeck processes: correlation times, variances (k,), steps h, s."""
     time, variance = jnp.atleast_1d(time), jnp.atleast_1d(variance)
     steps, eye = h[:, None] / time, jnp.eye(len(time))
     decay, noise = jnp.exp(-steps), -jnp.expm1(-2 * steps) * variance
     return Block(
-        decay[..., None] * eye, noise[..., None] * eye, variance * eye, True, coupled=False
+        decay[..., None] * eye, noise[..., None] * eye, variance * eye, True, is_coupled=False
     )
 
 
-def matrix_2x2(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
+def stack_2x2(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
     """Stack arrays (n,) into matrices [[a, b], [c, d]] (n, 2, 2)."""
     return jnp.stack([a, b, c, d], -1).reshape(-1, 2, 2)
 
@@ -58,21 +58,21 @@ def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
         transition = transition.at[:, rows, rows].set(jnp.where(is_first, 0.0, block.transition))
         noise = noise.at[:, rows, rows].set(jnp.where(is_first, block.start, block.noise))
         observation[rows if block.observes_all else offset] = 1.0
-        partner[rows] = partner[rows][:: -1 if block.coupled else 1]
+        partner[rows] = partner[rows][:: -1 if block.is_coupled else 1]
         offset = rows.stop
     return States(transition, noise, observation, partner)
 
 
 def draw_states(key: Array, states: States) -> Float[Array, "n"]:
-    """Draw a path of the states and return the observed sum hᵀ·state (n,)."""
+    """Draw a path of the states; return what is observed of them, hᵀ·state (n,)."""
     eigenvalues, eigenvectors = jnp.linalg.eigh(states.noise)  # some eigenvalues may be zero
-    normal = jnp.sqrt(jnp.maximum(eigenvalues, 0.0)) * jax.random.normal(key, eigenvalues.shape)
+    deviates = jnp.sqrt(jnp.maximum(eigenvalues, 0.0)) * jax.random.normal(key, eigenvalues.shape)
 
     def advance(state, row):
         state = row[0] @ state + row[1]
         return state, state @ jnp.asarray(states.observation)
 
-    rows = states.transition, jnp.einsum("nij,nj->ni", eigenvectors, normal)
+    rows = states.transition, jnp.einsum("nij,nj->ni", eigenvectors, deviates)
     return jax.lax.scan(advance, jnp.zeros(len(states.observation)), rows)[1]
 
 
@@ -90,8 +90,8 @@ def kalman_whiten(
 
     def propagate(coefficients, x):
         """Return A·x as at most two elementwise products, which XLA fuses with adjacent operations."""
-        own, cross = (c[:, None] for c in coefficients)
-        return own * x + (is_coupled[:, None] * cross * x[partner] if is_coupled.any() else 0.0)
+        diag, cross = (c[:, None] for c in coefficients)
+        return diag * x + (is_coupled[:, None] * cross * x[partner] if is_coupled.any() else 0.0)
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
     def advance_covariance(previous, reading):
@@ -116,11 +116,11 @@ def kalman_whiten(
 
 
 def smooth(
-    states: States, precision: Float[Array, "n"], weighted: Float[Array, "n m"]
+    states: States, precision: Float[Array, "n"], weighted_residuals: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Return the smoothed mean (n, m) and variance (n,) of the correlated noise, given all readings of the run.
 
-    precision: inverse white variance of each row, 0 in a row without a reading. weighted: residuals times precision.
+    precision: inverse white variance of each row, 0 in a row without a reading. weighted_residuals: times precision.
 
     With f the correlated noise, a reading of precision p and weighted residual b has the likelihood exp(b·f − ½·p·f²)
     up to a factor. The moments are derivatives of Z = E[Π exp(b·f − ½·p·f²)], which the Kalman filter gives: the mean
@@ -140,10 +140,10 @@ def smooth(
         log_z = 0.5 * squares / (1 + p * f_variance) - 0.5 * jnp.log1p(p * f_variance)
         return (mean, covariance), log_z
 
-    def sum_log_z(weighted, precision):
-        initial = jnp.zeros((count, weighted.shape[1])), jnp.zeros((count, count))
-        rows = states.transition, states.noise, weighted, precision
+    def sum_log_z(weighted_residuals, precision):
+        initial = jnp.zeros((count, weighted_residuals.shape[1])), jnp.zeros((count, count))
+        rows = states.transition, states.noise, weighted_residuals, precision
         return jnp.sum(jax.lax.scan(advance, initial, rows)[1])
 
-    mean = jax.grad(sum_log_z)(weighted, precision)
+    mean = jax.grad(sum_log_z)(weighted_residuals, precision)
     return mean, -2 * jax.grad(sum_log_z, argnums=1)(jnp.zeros((len(precision), 1)), precision)

@@ -65,19 +65,19 @@ class SumOfTerms(Noise, interface=True):
         return _build_terms(self.terms, self.first_rank, *fields)
 
     @property
-    def white(self) -> White | Heteroscedastic:
-        """Return the law of the independent noise that the terms are added to."""
+    def white_law(self) -> White | Heteroscedastic:
+        """Return the law of the independent noise to which the terms are added."""
         return Heteroscedastic(self.scatter, self.scale) if self.scatter else White(self.scale)
 
     @property
     def covariates(self) -> tuple[str, ...]:
         return tuple(name for name in (self.column, self.scatter) if name)
 
-    def followed(self, frame: Frame) -> Array | None:
+    def covariate(self, frame: Frame) -> Array | None:
         return 2 * frame.position(self.column) - 1 if self.column else None
 
     def starts(self, frame: Frame, residuals: np.ndarray) -> list[dict[str, float]]:
-        z = self.followed(frame)
+        z = self.covariate(frame)
         z = None if z is None else np.asarray(z)
         starts = [part.starts(np.asarray(frame.step), residuals, z) for part in self.parts]
         if self.scatter:
@@ -94,13 +94,13 @@ class SumOfTerms(Noise, interface=True):
     @property
     def in_words(self) -> str:
         label_counts = Counter(p.label for p in self.parts)
-        name = f"white ({self.white.in_words})" if self.scatter else "white"
+        name = f"white ({self.white_law.in_words})" if self.scatter else "white"
         term_texts = (f"{c} {w}" if c > 1 else w for w, c in label_counts.items())
         return self.words or " + ".join((name, *term_texts))
 
     def parameters(self) -> dict[str, Any]:
         priors = {n: prior for part in self.parts for n, (prior, _) in part.parameters().items()}
-        return self.white.parameters() | priors
+        return self.white_law.parameters() | priors
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
@@ -109,53 +109,51 @@ class SumOfTerms(Noise, interface=True):
     def unit(self, name: str, output: str) -> str:
         units = {n: unit for part in self.parts for n, (_, unit) in part.parameters().items()}
         if name not in units:
-            return self.white.unit(name, output)
+            return self.white_law.unit(name, output)
         is_any = output == unit_conversion.ANY and "{}" in units[name]
         return output if is_any else units[name].format(output)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
-        return self.white.variance(parameters, frame) + self.slow_variance(parameters)
+        return self.white_law.variance(parameters, frame) + self.slow_variance(parameters)
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
-        """Return the state space over time steps, s (−1 begins a run); z: covariate scaled to −1 … 1 (n,)."""
+        """Return the state-space form over time steps, s (−1 begins a run); z: covariate scaled to −1 … 1 (n,)."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         blocks = [part.block(parameters, jnp.maximum(step, 0.0)) for part in self.parts]
         return assemble_states(blocks, step)
 
     def whiten(self, columns: Array, extra: Any, parameters: Parameters, frame: Frame) -> Any:
-        states = self.states(parameters, frame.step, self.followed(frame))
-        return kalman_whiten(states, self.white.variance(parameters, frame) + extra, columns)
+        states = self.states(parameters, frame.step, self.covariate(frame))
+        return kalman_whiten(states, self.white_law.variance(parameters, frame) + extra, columns)
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         white_key, state_key = jax.random.split(key)
-        path = draw_states(state_key, self.states(parameters, frame.step, self.followed(frame)))
-        sd = jnp.sqrt(self.white.variance(parameters, frame))
+        path = draw_states(state_key, self.states(parameters, frame.step, self.covariate(frame)))
+        sd = jnp.sqrt(self.white_law.variance(parameters, frame))
         return mean + sd * jax.random.normal(white_key, mean.shape) + path
 
-    def slow_part(
-        self, values: Parameters, time: Any, residuals: Any, white: Any, at: Any, along: Any = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the smoothed mean and variance of the correlated noise at times `at`, by a Kalman smoother."""
-        times = np.concatenate([time, at])
+    def slow_part(self, values, time, residuals, white_var, new_time, covariates=None):
+        """Return the smoothed mean and variance of the correlated noise at times `new_time`, by a Kalman smoother."""
+        times = np.concatenate([time, new_time])
         grid, first_index, index = np.unique(times, return_index=True, return_inverse=True)
         index, rows = np.split(index, [len(time)])
         precision, weighted = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
-        np.add.at(precision, index, 1 / white)  # 0 where there is no reading
-        np.add.at(weighted, index, residuals / white[:, None])
-        z = None if along is None else np.concatenate(along)[first_index]
+        np.add.at(precision, index, 1 / white_var)  # 0 where there is no reading
+        np.add.at(weighted, index, residuals / white_var[:, None])
+        z = None if covariates is None else np.concatenate(covariates)[first_index]
         # Padded to powers of two, so that few programs are compiled: padding is runs of one step without a reading.
-        pad = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
-        step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), pad, constant_values=-1.0)
-        z = None if z is None else np.pad(z, pad)
+        padding = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
+        step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), padding, constant_values=-1.0)
+        z = None if z is None else np.pad(z, padding)
         values = {name: np.float64(values[name]) for name in self.parameters()}
-        inputs = step, z, np.pad(precision, pad), np.pad(weighted, (pad, (0, 0)))
+        inputs = step, z, np.pad(precision, padding), np.pad(weighted, (padding, (0, 0)))
         mean, variance = _smooth(self.plain, values, *inputs)
         return np.asarray(mean)[rows], np.asarray(variance)[rows]
 
 
 @compile_lazily
-def _smooth(law: SumOfTerms, values, step, z, precision, weighted):
-    return smooth(law.states(values, step, z), precision, weighted)
+def _smooth(law: SumOfTerms, values, step, z, precision, weighted_residuals):
+    return smooth(law.states(values, step, z), precision, weighted_residuals)
 
 
 class SummedNoise(SumOfTerms):
@@ -256,13 +254,13 @@ def _build_terms(terms: tuple[str, ...], first_rank: int, *fields: Any) -> tuple
     )
 
 
-def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
+def _estimate_scatter(frame: Frame, residuals: np.ndarray, column: str) -> dict[str, float]:
     """Estimate `noise.slope` and `noise.curvature` by least squares, from log squared differences of residuals."""
-    steps = np.diff(r)
-    is_usable = (np.asarray(frame.step)[1:] >= 0) & (steps != 0)
+    changes = np.diff(residuals)
+    is_usable = (np.asarray(frame.step)[1:] >= 0) & (changes != 0)
     z = np.asarray(scale_covariate(frame, column))[1:][is_usable]
     design = np.column_stack([np.ones_like(z), 2 * z, 3 * z**2 - 1])
-    _, slope, curvature = np.linalg.lstsq(design, np.log(steps[is_usable] ** 2), rcond=None)[0]
+    _, slope, curvature = np.linalg.lstsq(design, np.log(changes[is_usable] ** 2), rcond=None)[0]
     return {SLOPE: float(slope), CURVATURE: float(curvature)}
 
 
@@ -274,7 +272,7 @@ def build_sum(
     column: str = "",
     scatter: str = "",
 ) -> SummedNoise:
-    """Build a noise sum; correlation times from `step` to `span`, s, rounded to powers of two to share compilations.
+    """Build a noise sum; correlation times are `step` to `span`, s, rounded to powers of two to share compilations.
 
     column: covariate of a tone's frequency. scatter: covariate of the white noise's standard deviation.
     """
@@ -291,8 +289,8 @@ def _offer_correlated(scale: Positive, frame: Frame) -> list[Noise]:
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
     # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
     laws: list[Noise] = [OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)]
-    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < MIN_SECOND_TERM_READINGS:
+    max_run_size = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
+    if max_run_size < MIN_SECOND_TERM_READINGS:
         return laws
     laws += [build_sum(scale, step, span, terms) for terms in OFFERED_SUMS]
     column = "temperature" if "temperature" in frame.columns else ""

@@ -39,7 +39,7 @@ class ColumnSpec(NamedTuple):
     def shift_paths(
         self, values: Sequence[Any], evaluate: Callable[[ColumnSpec, Sequence[Any]], Any]
     ) -> dict[str, Float[Any, "*b n"]]:
-        """Return each column's shift by the corrections at values of the shapes; `evaluate` returns basis columns."""
+        """Return each corrected column's shift at values of the shapes; `evaluate` returns basis columns."""
         shifts, start = dict[str, Any](), len(self.basis_shapes)
         for c in self.corrections:
             stop = start + len(c.spec.shapes)
@@ -54,7 +54,7 @@ class ColumnSpec(NamedTuple):
 
     @property
     def key(self) -> Any:
-        """Return a hashable key; specifications with equal keys have equal columns."""
+        """Return a hashable key; specifications with equal keys have equal basis columns."""
         return self.basis, self.priors, self.corrections
 
     @classmethod
@@ -81,22 +81,22 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True)
 class Term(CoefficientBlock):
-    """One coefficient of a structure, with all its group members and the specification of its basis column."""
+    """One coefficient of a structure, for all its group members, with the specification of its basis columns."""
 
     columns: ColumnSpec  # specification of its effect's columns
     prior_sd: float  # prior standard deviation, coefficient's unit
 
 
-def terms_of(
+def build_terms(
     blocks: Sequence[CoefficientBlock],
     source: Any = None,
     size_factors: Mapping[str, float] | None = None,
 ) -> tuple[tuple[Term, ...], tuple[str, ...]]:
-    """Return the terms of a structure, and the columns of the readings that some of them correct.
+    """Build the terms of a structure; return them, and the columns of the readings that some of them correct.
 
     A correction of a column with known coefficients (the temperature of a lagging body) is part of the other effects'
     column specifications, and not a term, if the response does not use the column; otherwise its slot is the column's
-    `PATH`. size_factors: effect → factor of its prior standard deviations.
+    `PATH`. source: column source; None: no corrections. size_factors: effect → factor of its prior deviations.
     """
     correcting_blocks = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected_columns = tuple(dict.fromkeys(b.slot for b in correcting_blocks))
@@ -108,9 +108,9 @@ def terms_of(
         blocks = [b for b in blocks if b.slot in source.slots]
     specs: dict[str, ColumnSpec] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
-        usable = () if effect.name in correcting_effects else corrections
-        needed = [c for c in usable if c.column in effect.columns]
-        specs[effect.name] = ColumnSpec.from_effect(effect).with_corrections(needed)
+        allowed = () if effect.name in correcting_effects else corrections
+        applied = [c for c in allowed if c.column in effect.columns]
+        specs[effect.name] = ColumnSpec.from_effect(effect).with_corrections(applied)
     factors = size_factors or {}
 
     def make_term(b: CoefficientBlock) -> Term:
@@ -145,7 +145,7 @@ class PriorDeviations:
             self.weights_by_shape |= dict.fromkeys(names, (effect, index))
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
-        """Return the log factors of prior deviations that depend on one shape (p,), zero for other coefficients."""
+        """Return the log of the weights of one shape's effect (p,): factors of prior deviations; 0 for others."""
         return np.log(np.maximum(self._evaluate_weights(name, hyper), 1e-300))
 
     def _evaluate_weights(
@@ -162,8 +162,8 @@ class PriorDeviations:
             hyper = {name: np.reshape(value, (-1, 1)) for name, value in hyper.items()}
         # A fixed or learned standard deviation per coefficient, times the factors of effects with weights.
         deviations = self.fixed_sd
-        for name, members in self.learned_sd_masks.items():
-            deviations = xp.where(members > 0, hyper[name], deviations)
+        for name, mask in self.learned_sd_masks.items():
+            deviations = xp.where(mask > 0, hyper[name], deviations)
         names = {effect.name: name for name, (effect, _) in self.weights_by_shape.items()}
         for name in names.values():
             deviations = deviations * self._evaluate_weights(name, hyper, batch)

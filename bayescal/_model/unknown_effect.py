@@ -37,43 +37,43 @@ INTERVAL_RATIO = 1.5  # interval over covariate range; at its ends and beyond th
 LOCATIONS = (0.05, 0.95)
 STEP_HALF_WIDTH = 0.01  # half width of a step in time: sharp, yet differentiable in its location
 HALF_WIDTHS = (STEP_HALF_WIDTH, 0.2)
-CYCLES = (1.5, 15.0)  # plausible number of periods in the record
+CYCLE_RANGE = (1.5, 15.0)  # plausible number of periods in the record
 MIN_DISTINCT_VALUES = 30  # distinct values of a covariate: twice the largest number of periods
 
 SOURCE = "ours: a generic form without a known cause; identify the cause"
-FREED = ".freed"  # suffix of an effect's copy with a wide prior
+FREED_SUFFIX = ".freed"  # suffix of an effect's copy with a wide prior
 Form = Callable[..., Effect]
-_NAME = re.compile(r"unknown\((.+)\)", re.DOTALL)
+_NAME_REGEX = re.compile(r"unknown\((.+)\)", re.DOTALL)
 
 
 def parse_covariate(name: str) -> str | None:
     """Parse the covariate, with its form if any, from a placeholder's canonical name; None for any other effect."""
-    match = _NAME.fullmatch(name)
+    match = _NAME_REGEX.fullmatch(name)
     return ", ".join(filter(None, split_covariate(match[1]))) if match else None
 
 
 def split_covariate(covariate: str) -> tuple[str, str]:
     """Split "humidity, line" into column and form; the form is empty if the last part is not the name of a form."""
-    along, _, form = (part.strip() for part in covariate.rpartition(","))
-    return (along, form) if along and form in (*FORMS, "cycle") else (covariate.strip(), "")
+    column, _, form = (part.strip() for part in covariate.rpartition(","))
+    return (column, form) if column and form in (*FORMS, "cycle") else (covariate.strip(), "")
 
 
 def make_placeholder(covariate: str, slot: str, unit: str) -> Effect:
     """Return the placeholder for a covariate with an optional form, such as "humidity, peak" or "time, cycle"."""
-    along, form = split_covariate(covariate)
-    if form == "cycle" and along == "time":
+    column, form = split_covariate(covariate)
+    if form == "cycle" and column == "time":
         return cycle(slot, *OPEN, unit)
     if form in FORMS:
-        return FORMS[form](slot, *OPEN, unit, covariate=along)
+        return FORMS[form](slot, *OPEN, unit, covariate=column)
     return unknown(covariate, slot, *OPEN, unit)
 
 
 def freed(effect: Effect, ratio: float = 1.0) -> Effect:
-    """Return a copy of an effect with a prior `ratio` times as wide, to add to it if its stated value may be wrong."""
+    """Return a copy of an effect with prior mean 0 and `ratio` times its size, for an error of its value."""
     coefficients = tuple(replace(c, prior=Normal(0.0, ratio * c.size)) for c in effect.coefficients)
     return replace(
         effect,
-        name=effect.name + FREED,
+        name=effect.name + FREED_SUFFIX,
         frees=effect.name,
         forms=(),
         family="",
@@ -83,18 +83,18 @@ def freed(effect: Effect, ratio: float = 1.0) -> Effect:
     )
 
 
-def process_columns(position: Any, terms: int) -> Any:
-    """Return columns Φ with Φ·diag(w²)·Φᵀ ≈ squared-exponential kernel, w from `process_weights`; positions 0 to 1."""
+def make_process_columns(position: Any, count: int) -> Any:
+    """Return columns Φ (n, count) with Φ·diag(w²)·Φᵀ ≈ squared-exponential kernel, w: weights."""
     centred = xp.clip(2 * position - 1, -INTERVAL_RATIO, INTERVAL_RATIO)
-    order = xp.arange(1, terms + 1) * math.pi / (2 * INTERVAL_RATIO)
-    return xp.sin(order * (centred[..., None] + INTERVAL_RATIO)) / math.sqrt(INTERVAL_RATIO)
+    frequency = xp.arange(1, count + 1) * math.pi / (2 * INTERVAL_RATIO)
+    return xp.sin(frequency * (centred[..., None] + INTERVAL_RATIO)) / math.sqrt(INTERVAL_RATIO)
 
 
-def process_weights(terms: int, length: Any, amplitude: Any = 1.0) -> Any:
-    """Return the prior standard deviations w of the coefficients, as `Effect.weights`; `length` in covariate ranges."""
-    order = np.arange(1, terms + 1) * math.pi / (2 * INTERVAL_RATIO)
+def make_process_weights(count: int, length: Any, amplitude: Any = 1.0) -> Any:
+    """Return the prior standard deviations w of the coefficients (`Effect.weights`); `length` in covariate ranges."""
+    frequency = np.arange(1, count + 1) * math.pi / (2 * INTERVAL_RATIO)
     scale = 2 * length
-    root_density = xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
+    root_density = xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * frequency) ** 2) / 4)
     return amplitude * root_density
 
 
@@ -117,7 +117,7 @@ def unknown(
         value_partial(evaluate_process, covariate, terms),
         coefficients=make_standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
-        weights=value_partial(process_weights, terms),
+        weights=value_partial(make_process_weights, terms),
         measure="amplitude",
         columns=columns,
         varies=() if covariate == "elapsed" else columns[:1],
@@ -128,26 +128,26 @@ def unknown(
     )
 
 
-def evaluate_process(covariate: str, terms: int, r: Any) -> Any:
-    """Return a Gaussian process's basis columns (`process_columns`) at the positions of a covariate (n, terms)."""
-    return process_columns(r.position(covariate), terms)
+def evaluate_process(covariate: str, count: int, frame: Any) -> Any:
+    """Return a Gaussian process's basis columns (`make_process_columns`) at the positions of a covariate (n, terms)."""
+    return make_process_columns(frame.position(covariate), count)
 
 
 def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary: str) -> Form:
-    """Return a function that makes placeholder effects of one form; their last shape is the amplitude."""
+    """Return a function that returns a placeholder effect of one form; its last shape is the amplitude."""
 
     @functools.cache
     def make_form(
         slot: str, low: float, high: float, unit: str, *, covariate: str = "time", name: str = ""
     ) -> Effect:
-        in_time = covariate == "time"
-        sides = ("before one moment", "after") if in_time else (f"below one {covariate}", "above")
+        is_time = covariate == "time"
+        sides = ("before one moment", "after") if is_time else (f"below one {covariate}", "above")
         return Effect(
             name or f"unknown({covariate}, {kind})",
             slot,
             value_partial(basis, covariate),
             coefficients=make_standard_normals(unit, 2 if kind == "cycle" else 1),
-            shapes=(*_make_form_shapes(kind, in_time), Shape("amplitude", unit, low, high)),
+            shapes=(*_make_form_shapes(kind, is_time), Shape("amplitude", unit, low, high)),
             weights=_evaluate_constant_weights,
             measure="amplitude",
             columns=(covariate,),
@@ -155,8 +155,8 @@ def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary:
             untestable=functools.partial(_explain_untestable, covariate),
             equation=equation.format(*sides, covariate=covariate),
             source=SOURCE,
-            along="" if in_time else covariate,
-            family="" if in_time else f"unknown({covariate})",
+            along="" if is_time else covariate,
+            family="" if is_time else f"unknown({covariate})",
             kind=kind,
         )
 
@@ -164,46 +164,46 @@ def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary:
     make_form.__doc__ = f"""{summary}
 
     Args:
-        slot: slot that it adds to.
+        slot: slot that the effect adds to.
         low, high: plausible amplitudes a, in `unit`; `*OPEN` estimates them from the readings.
         unit: unit of the slot.
-        covariate: column that it depends on.
+        covariate: column that the slot depends on.
         name: canonical name; `unknown(humidity, {kind})` if not given, with the column's name.
     """
     return make_form
 
 
-def _make_form_shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
+def _make_form_shapes(kind: Kind, is_time: bool) -> tuple[Shape, ...]:
     """Return the shapes of a form: location and half width, relative to the range; or the number of cycles."""
     if kind == "cycle":
-        return (Shape("cycles", "1", *CYCLES, ragged=True),)
+        return (Shape("cycles", "1", *CYCLE_RANGE, ragged=True),)
     if kind == "line":
         return ()
     # The time of a step is common to all channels of a device. The evidence of a kink is unimodal in its location.
-    is_step = kind == "jump" and in_time
+    is_step = kind == "jump" and is_time
     place = Shape("place", "1", *LOCATIONS, scale="linear", ragged=kind != "kink", shared=is_step)
     return (place,) if is_step else (place, Shape("width", "1", *HALF_WIDTHS))
 
 
-def _evaluate_step_basis(covariate, r, place, width=STEP_HALF_WIDTH):
-    return 0.5 * xp.tanh((r.position(covariate) - place) / width)
+def _evaluate_step_basis(covariate, frame, place, width=STEP_HALF_WIDTH):
+    return 0.5 * xp.tanh((frame.position(covariate) - place) / width)
 
 
-def _evaluate_line_basis(covariate, r):
-    return r.position(covariate) - 0.5
+def _evaluate_line_basis(covariate, frame):
+    return frame.position(covariate) - 0.5
 
 
-def _evaluate_kink_basis(covariate, r, place, width):
-    distance = r.position(covariate) - place
+def _evaluate_kink_basis(covariate, frame, place, width):
+    distance = frame.position(covariate) - place
     return 0.5 * (distance + xp.sqrt(distance**2 + width**2))
 
 
-def _evaluate_peak_basis(covariate, r, place, width):
-    return 1 / (1 + ((r.position(covariate) - place) / width) ** 2)
+def _evaluate_peak_basis(covariate, frame, place, width):
+    return 1 / (1 + ((frame.position(covariate) - place) / width) ** 2)
 
 
-def _evaluate_cycle_basis(covariate, r, cycles):
-    phase = 2 * math.pi * cycles * r.position(covariate)
+def _evaluate_cycle_basis(covariate, frame, cycles):
+    phase = 2 * math.pi * cycles * frame.position(covariate)
     return xp.stack([xp.sin(phase), xp.cos(phase)], axis=-1)
 
 
@@ -224,11 +224,11 @@ def _explain_untestable(covariate: str, readings: Measurements) -> str | None:
 
 
 _X = "x the position in the range of {covariate}"
-_LINE_DOC = "A slot's value is proportional to a column."
-_STEP_DOC = "A slot's value steps by a at one time, or near one value of a column, and stays."
-_KINK_DOC = "A slot's slope along a column changes near one value of it, by a over its range."
-_PEAK_DOC = "A slot's value has a peak of height a at one value of a column, as of a resonance."
-_CYCLE_DOC = "A slot's value is sinusoidal in time."
+_LINE_DOC = "Return an effect linear in a column."
+_STEP_DOC = "Return an effect that steps by a at one time, or near one value of a column."
+_KINK_DOC = "Return an effect whose slope along a column changes by a near one value of it."
+_PEAK_DOC = "Return an effect with a peak of height a at one value of a column, as of a resonance."
+_CYCLE_DOC = "Return an effect that is sinusoidal in time."
 line: Form = _make_factory("line", f"a·(x − ½),  {_X}", _evaluate_line_basis, _LINE_DOC)
 jump: Form = _make_factory("jump", "−a/2 {}, a/2 {} it", _evaluate_step_basis, _STEP_DOC)
 kink: Form = _make_factory("kink", f"a·max(0, x − p),  {_X}", _evaluate_kink_basis, _KINK_DOC)

@@ -41,7 +41,7 @@ from bayescal._model.static import static
 NEAR_RATIO = 1.5  # largest |output|/magnitude, or its inverse, to fit without an ellipsoid
 NEWTON_STEPS = 1  # before the differentiated step: error 1e-7 for 10 % nonlinearity
 
-Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
+OutputFunction = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
 
 @renamed(beside="secondary_columns")
@@ -51,23 +51,23 @@ class Vector:
 
     Attributes:
         outputs: the three output columns of files, in the output's unit; `output` is computed from them.
-        equation: function of slots and frame that returns h, from the stimulus (n, 3), output unit, to the three
-            expected outputs; JAX must differentiate it backward too (no loop of unknown length), and it must be finite.
-        acting: function of a frame, the known measurand (n, 3), output unit; None if only its magnitude is known.
+        equation: function of slots and frame that returns h, a function of the stimulus (n, 3), output unit, with the
+            three expected outputs (n, 3): finite, and differentiable by JAX in reverse mode (no `while` loop).
+        acting: function of a frame that returns the known measurand (n, 3), output unit; None if only |f| is known.
         common_scale: prior standard deviation of a common scale factor, from an error of the stimulus; 0: unspecified.
         rig: slots of the test rig's errors, which are not in the equation and do not act in use.
         secondary_columns: three columns of a second stimulus with linear response, such as gravity on gyroscopes.
     """
 
     outputs: tuple[str, str, str]
-    equation: Callable[[Mapping[str, Any], Frame], Outputs]
+    equation: Callable[[Mapping[str, Any], Frame], OutputFunction]
     acting: Callable[[Frame], Float[Array, "n 3"]] | None = None
     common_scale: float = 0.0
     rig: tuple[str, ...] = ()
     secondary_columns: tuple[str, ...] = ()
 
     def response(self, slots: Mapping[str, Float[Array, "n"]], frame: Frame) -> Float[Array, "n"]:
-        """Return the expected output of each reading, magnitude or projection, output unit."""
+        """Return the expected output of each reading (n,), its magnitude or a projection, output unit."""
         if self.acting is not None:
             projections = jnp.stack([frame[name] for name in ACROSS], axis=1)
             return jnp.sum(projections * self.equation(slots, frame)(self.acting(frame)), axis=1)
@@ -77,7 +77,7 @@ class Vector:
         stimulus, inverse = invert_equation(outputs, y)
         length = _norms(stimulus)
         radial_slope = _norms(jnp.sum(inverse * (stimulus / length[:, None])[:, :, None], axis=1))
-        residual = magnitudes * radial_residual(length / magnitudes) / radial_slope
+        residual = magnitudes * compute_radial_residual(length / magnitudes) / radial_slope
         expected = _norms(y) - residual
         if ACROSS[0] not in frame.columns:
             return expected
@@ -119,14 +119,14 @@ class Vector:
         return replace(frame, columns=columns), np.where(is_projection, y, projections)
 
 
-def radial_residual(ratio: Any) -> Any:
-    """Return the residual g = x/2 + x/(2 + 4x/3), x = length/true magnitude − 1; at x = 0: g = 0, g′ = 1, g″ = −2/3."""
+def compute_radial_residual(ratio: Any) -> Any:
+    """Return g(ratio) = x/2 + x/(2 + 4x/3), x = ratio − 1; ratio: estimated over true magnitude. At x = 0 g″ = −2/3."""
     x = ratio - 1
     return x / 2 + x / (2 + 4 * x / 3)
 
 
 def invert_equation(
-    outputs: Outputs, y: Float[Array, "n 3"]
+    outputs: OutputFunction, y: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     """Solve h(f̂) = y by Newton's method; return f̂ and H⁻¹. Only the last step is differentiated (implicit function)."""
 
@@ -140,9 +140,9 @@ def invert_equation(
 
 
 def _linearise_and_invert(
-    outputs: Outputs, stimulus: Float[Array, "n 3"]
+    outputs: OutputFunction, stimulus: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
-    """Return h and the inverse of its Jacobian, by cross products over the determinant."""
+    """Return h at the stimulus and the inverse of its Jacobian: cross products of rows over the determinant."""
     tangents = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *stimulus.shape))
     value, jvp = jax.linearize(outputs, stimulus)
     a, b, c = jax.vmap(jvp)(tangents)

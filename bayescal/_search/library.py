@@ -19,7 +19,7 @@ from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.means import Means
 from bayescal._model.composition import expand_members
 from bayescal._model.effect import Coefficient, Effect, Shape
-from bayescal._model.instrument import factor_of
+from bayescal._model.instrument import compute_factor
 from bayescal._model.terms import ColumnSpec, Correction
 from bayescal._search.structures import SIZE_FACTORS, Structures
 
@@ -162,7 +162,7 @@ class Library:
         ends = np.cumsum([0, *(_count_members(c, counts) for c in effect.coefficients)])
         columns = np.empty((len(bases), ends[-1], record.size))
         for i, c in enumerate(effect.coefficients):
-            slope = by_slot[i] * factor_of(instrument, effect, c)
+            slope = by_slot[i] * compute_factor(instrument, effect, c)
             codes, members = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
             per_member = expand_members(slope * bases[..., i], codes, members.stop - members.start)
             columns[:, members] = np.moveaxis(per_member, -1, 1)

@@ -51,9 +51,9 @@ def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
 def instrument_named(name: str) -> Instrument:
     """Return an installed instrument, or one in a file (my.py:INSTRUMENT); raise InputError if it does not exist."""
     if not is_file_reference(name):
-        from bayescal._model.installed import installed_instrument
+        from bayescal._model.installed import load_instrument
 
-        return installed_instrument(name)
+        return load_instrument(name)
     from bayescal._model.instrument import Instrument
 
     file, _, attribute = name.rpartition(":")

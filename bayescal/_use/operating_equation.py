@@ -29,9 +29,9 @@ from bayescal._core.inverse import solve_newton
 from bayescal._model.composition import TracedColumns, compose
 from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
-from bayescal._model.instrument import Instrument, Use, factor_of
+from bayescal._model.instrument import Instrument, Use, compute_factor
 from bayescal._model.parameters import CoefficientBlock, Layout, Unknown, member_name
-from bayescal._model.terms import terms_of
+from bayescal._model.terms import build_terms
 from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
 
 NON_INPUT_COLUMNS = ("output", "output_uncertainty", "temperature_point")
@@ -210,7 +210,7 @@ class OperatingEquation:
         blocks = [b for b in self.blocks if b.slot in terms.slots or b.slot in frame.columns]
         coefficients = [values[b.name] for b in blocks]
         shapes = {n: v[0] for n, v in values.items()}
-        composed = compose(terms, terms_of(blocks)[0], coefficients, shapes)
+        composed = compose(terms, build_terms(blocks)[0], coefficients, shapes)
         slots = {name: composed.slots.get(name, graph.symbols([0.0])) for name in terms.slots}
         equation, response = self.use.equation, model.instrument.response
 
@@ -381,7 +381,7 @@ class OperatingEquation:
             c = effect.coefficients[0]
             for b in self.blocks:
                 if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
-                    size *= factor_of(instrument, effect, c) / b.factor
+                    size *= compute_factor(instrument, effect, c) / b.factor
                     sds[name] = indices[b.name], size
                     break
         return sds

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 import bayescal as bc
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
-from tests.support.inside import find_static_segments, invert_equation, radial_residual
+from tests.support.inside import compute_radial_residual, find_static_segments, invert_equation
 from tests.support.references import shared
 from tests.support.tiers import slow_but
 from tests.support.triad_truth import matrix_of
@@ -82,7 +82,7 @@ def test_the_estimating_equation_is_unbiased_where_poses_are_noisy() -> None:
         return float(each.mean()), float(each.std() / np.sqrt(count))
 
     x = length - 1
-    ours, error = score(radial_residual(length), 0.5 + 2 / (2 + 4 * x / 3) ** 2)
+    ours, error = score(compute_radial_residual(length), 0.5 + 2 / (2 + 4 * x / 3) ** 2)
     assert abs(ours) < 4 * error + 5 * sd**2
     assert score(x, np.ones(count))[0] > 0.2
 

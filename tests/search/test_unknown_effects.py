@@ -134,7 +134,7 @@ def test_unknown_effect_is_located(form: str) -> None:
 
 METHOD = bc.LeastSquares(draws=200)
 PLACE, HEIGHT = 0.53, 0.2  # of the record, within the second run; °/s, four times the noise
-CYCLES, WAVE = 6.3, 0.06  # in the record; °/s
+CYCLE_RANGE, WAVE = 6.3, 0.06  # in the record; °/s
 
 
 def part_of_the_record(readings: bc.Measurements) -> np.ndarray:
@@ -156,7 +156,7 @@ def jumped() -> bc.SearchPath:
 
 @pytest.fixture(scope="module")
 def cycled() -> bc.SearchPath:
-    readings = changed(42, lambda at: WAVE * np.sin(2 * np.pi * CYCLES * at + 0.4))
+    readings = changed(42, lambda at: WAVE * np.sin(2 * np.pi * CYCLE_RANGE * at + 0.4))
     return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
 
 
@@ -181,7 +181,7 @@ def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -
     assert [s.added for s in cycled.steps] == [None, "unknown(time, cycle)"]
     assert final.model.noise.law == "white"
     cycles = float(final.samples("unknown(time, cycle).cycles").mean())
-    assert cycles == pytest.approx(CYCLES, abs=0.05)
+    assert cycles == pytest.approx(CYCLE_RANGE, abs=0.05)
     parts = [final.samples(f"unknown(time, cycle)[{i}]") for i in (1, 2)]
     wave = np.hypot(*parts)
     assert wave.mean() == pytest.approx(WAVE, rel=0.2)

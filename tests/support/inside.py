@@ -46,8 +46,8 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import why_untestable as why_untestable
 from bayescal._model.noise_law import Parameters as Parameters
 from bayescal._model.summed_noise import build_sum as build_sum
+from bayescal._model.vector import compute_radial_residual as compute_radial_residual
 from bayescal._model.vector import invert_equation as invert_equation
-from bayescal._model.vector import radial_residual as radial_residual
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._search.next_experiment import CampaignPrediction as CampaignPrediction

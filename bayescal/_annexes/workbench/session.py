@@ -160,7 +160,7 @@ class Session:
         folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
         with ws.create_result_folder(folder):
             name = model.instrument.name
-            origin = origin or Origin(name if name in ws.installed_names() else "")
+            origin = origin or Origin(name if name in ws.list_installed() else "")
             used, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
             session = cls(used, held_out, folder, options, origin, by_name)
             if (folder / store.SESSION).is_file():
@@ -172,7 +172,7 @@ class Session:
     def _resume(self, model: bc.Model) -> None:
         """Load the states saved in the folder; remove a state that a crash left incomplete."""
         saved, effects = store.load_session(self.folder), tuple(self.effects.values())
-        uninstalled = () if model.instrument.name in ws.installed_names() else (model.instrument,)
+        uninstalled = () if model.instrument.name in ws.list_installed() else (model.instrument,)
         for n, entry in enumerate(saved.states):
             path = store.fit_path(self.folder, n)
             calibration = bc.load(path, effects=effects, instruments=uninstalled)
