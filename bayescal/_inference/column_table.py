@@ -33,7 +33,7 @@ class ColumnTable:
         self._is_fitted, self._bytes = False, 0
 
     def number(self, key: Any) -> int:
-        """Return the block number of a key; equal keys have the same number."""
+        """Return the number of a block by its hashable key; equal keys have the same number."""
         if key not in self._numbers:
             self._numbers[key] = next(self._counter)
         return self._numbers[key]
@@ -88,9 +88,9 @@ class ColumnTable:
         slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         gram = np.empty((nodes.count, ends[-1], ends[-1]))
         for a, i in enumerate(numbers):
-            others, block = numbers[: a + 1], blocks[i]
+            earlier_numbers, block = numbers[: a + 1], blocks[i]
             # One product with all missing blocks is several times faster than one product each.
-            if uncached := [j for j in others if j not in block.products]:
+            if uncached := [j for j in earlier_numbers if j not in block.products]:
                 runs = zip(*(blocks[j].columns for j in uncached), strict=True)
                 products = nodes.products(
                     block.columns, [np.concatenate(run, axis=1) for run in runs]
@@ -100,7 +100,7 @@ class ColumnTable:
                     block.products[j] = np.ascontiguousarray(part)
                     blocks[j].products[i] = block.products[j].transpose(0, 2, 1)
                     self._bytes += part.nbytes
-            for b, j in enumerate(others):
+            for b, j in enumerate(earlier_numbers):
                 gram[:, slices[a], slices[b]] = block.products[j]
                 gram[:, slices[b], slices[a]] = blocks[j].products[i]
         ends = ((k, [blocks[i].ends[k] for i in numbers]) for k in block.ends)
@@ -117,7 +117,7 @@ class ColumnTable:
 
 
 class _Block(NamedTuple):
-    """One block: transformed columns by run, inner products with run-end vectors, inner products with other blocks."""
+    """One block: transformed columns of each run, their inner products with run-end vectors and with other blocks."""
 
     columns: list[np.ndarray]
     ends: dict[tuple[int, int], np.ndarray]

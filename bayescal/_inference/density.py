@@ -69,7 +69,7 @@ class Density(NumericDensity):
 
     @property
     def origin(self) -> Float[np.ndarray, "p"]:
-        """Return the coefficients x at which `grams` evaluates residuals (p,)."""
+        """Return the coefficients x (p,) at which the residuals of `grams` are evaluated."""
         return self.x if self.tabulated is None else self.tabulated.origin
 
     def _linearise_at(self, v: np.ndarray, hyper: Values) -> Linearisation:
@@ -146,7 +146,7 @@ class Density(NumericDensity):
         return Gram(*(np.stack([np.asarray(g[i]) for g in grams])[index.ravel()] for i in range(4)))
 
     def _compute_whitened_grams(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
-        """Return the Gram matrices at several φ, each distinct column whitened once per value of noise parameters."""
+        """Return the Gram matrices at several φ; each distinct column is whitened once per noise parameter set."""
         is_noise, rows_by_noise = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
             key = i if self.problem.is_noisy else tuple(v[is_noise])
@@ -159,8 +159,8 @@ class Density(NumericDensity):
         lines = self._linearise_many(vs[[i for batch in batches for i in batch]])
         line, first_table = None, np.empty(0)
         for batch in batches:
-            previous, line = line, next(lines)
-            first_table = first_table if line is previous else self._stack_residual_table(line)
+            previous_line, line = line, next(lines)
+            first_table = first_table if line is previous_line else self._stack_residual_table(line)
             columns, column_sets = [*first_table.T], [[*range(first_table.shape[1])]]
             for _ in batch[1:]:
                 column_sets.append([*column_sets[0]])
@@ -221,7 +221,7 @@ class Density(NumericDensity):
             gradient = (
                 sd * (select(jacobian, active).transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0] - z
             )
-            retry, previous = np.arange(len(active)), value[active]
+            retry, previous_value = np.arange(len(active)), value[active]
             for weights in (curvature, weight):
                 rows = active[retry]
                 hessian = products(rows, weights[retry]) * sd[retry, :, None] * sd[retry, None, :]
@@ -237,7 +237,7 @@ class Density(NumericDensity):
                 retry = retry[~is_better]
                 if not len(retry):
                     break
-            active = active[previous - value[active] > NEWTON_TOLERANCE_NATS]
+            active = active[previous_value - value[active] > NEWTON_TOLERANCE_NATS]
         self._mode_of_x = x + shift[0]
         slope, curvature, _, z, logdet = likelihood_terms
         jtj = products(np.arange(len(vs)), curvature)
@@ -272,7 +272,7 @@ class Density(NumericDensity):
         return NOWHERE if local_model is None else local_model.log_density
 
     def condition_at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
-        """Return the log density at φ and the conditional posterior of x given φ, None if undefined."""
+        """Return the log density at φ and the conditional posterior of x given φ; (`NOWHERE`, None) if undefined."""
         problem = self.problem
         if self.tabulated is not None:
             result = self.tabulated.evaluate(v, self.flat_scales, False)

@@ -85,7 +85,7 @@ class Expansion:
         self.number: int = next(_NUMBERS)
 
     def distance(self, v: Float[np.ndarray, "d"]) -> float:
-        """Return the largest distance of coordinates (d,) from the expansion point, in half widths of the box."""
+        """Return the largest distance of coordinates (d,) from the expansion point, half widths of the box."""
         distance = float(np.max(np.abs(v - self.middle), initial=0.0))
         return distance / self.half if self.half else np.inf if distance else 0.0
 
@@ -101,7 +101,7 @@ class Expansion:
         return Factors(value, gradient[None] / self.half, hessian[None, None] / self.half**2)
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
-        """Evaluate the r factors of the expanded columns at b points of the expansion's box, (b, r)."""
+        """Evaluate the r factors of the columns at b points in the expansion's box (b, r)."""
         if not self.half:
             return np.broadcast_to(_get_factors(v.shape[1], self.rank).value, (len(v), self.rank))
         return chebvander((v[:, 0] - self.middle[0]) / self.half, NODES - 1)[:, self.orders]
@@ -273,18 +273,18 @@ class Expansions:
     def _expand(self, v: Float[np.ndarray, "d"]) -> Expansion:
         """Return the second-order Taylor series about v: columns, gradient, Hessian (`_list_lower_indices`)."""
         h, dim = DIFF_STEP, self.dim
-        unit = h * np.eye(dim)
-        mixed = [unit[i] + unit[j] for i, j in _list_lower_indices(dim) if i != j]
-        shifts = np.array([np.zeros(dim), *unit, *-unit, *mixed, *np.negative(mixed)])
+        steps = h * np.eye(dim)
+        pairs = [steps[i] + steps[j] for i, j in _list_lower_indices(dim) if i != j]
+        shifts = np.array([np.zeros(dim), *steps, *-steps, *pairs, *np.negative(pairs)])
         columns = self._columns(v + shifts.reshape(-1, dim))
         centre, upper, lower = columns[0], columns[1 : 1 + dim], columns[1 + dim : 1 + 2 * dim]
         mixed_sums = iter(columns[1 + 2 * dim :].reshape(2, -1, *centre.shape).sum(axis=0))
         terms = [centre, *((upper - lower) / (2 * h))]
         for i, j in _list_lower_indices(dim):
-            second = upper[i] - 2 * centre + lower[i]
+            difference = upper[i] - 2 * centre + lower[i]
             if i != j:
-                second = 0.5 * (next(mixed_sums) - second - upper[j] - lower[j])
-            terms.append(second / h**2)
+                difference = 0.5 * (next(mixed_sums) - difference - upper[j] - lower[j])
+            terms.append(difference / h**2)
         return Expansion(np.stack(terms, axis=2), v)
 
 

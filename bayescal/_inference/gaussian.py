@@ -94,7 +94,7 @@ class Conditional:
 def condition(
     gram: Gram, size: int, prior: Prior, origin: Float[np.ndarray, "p"]
 ) -> Conditional | None:
-    """Condition x on the readings; None if its precision is singular or the sum of squares cancels to zero.
+    """Return the conditional posterior of x; None if its precision is singular or the sum of squares cancels to zero.
 
     size: number of readings. origin: the x at which `gram` was evaluated (p,), x̂ below.
     """
@@ -137,7 +137,7 @@ class XDraws(NamedTuple):
     log_marginal: Float[np.ndarray, "b"]  # −∞ if undefined
     x: Float[np.ndarray, "b p"]
     squares: Float[np.ndarray, "b"]  # Σ z², over coefficients with a proper prior
-    # Log determinant of the map from normal numbers to x, in prior standard deviations if the prior is proper.
+    # Log determinant of the map from normal deviates to x, in prior standard deviations if the prior is proper.
     log_volume: Float[np.ndarray, "b"]
 
     def select(self, rows: np.ndarray) -> XDraws:
@@ -146,15 +146,15 @@ class XDraws(NamedTuple):
 
 
 def draw_x(
-    grams: Gram, size: int, prior: Prior, origin: Float[np.ndarray, "p"], normal: np.ndarray
+    grams: Gram, size: int, prior: Prior, origin: Float[np.ndarray, "p"], deviates: np.ndarray
 ) -> XDraws:
-    """Map standard normal numbers (b, p) to draws of x from its conditional posteriors at b values of φ."""
+    """Return a draw of x given each of b values of φ, from standard normal deviates (b, p)."""
     sd, weight = prior.sd, prior.weight
     offset, prior_rhs = prior.offset_from(origin, np.diagonal(grams.jtj, axis1=1, axis2=2))
     rhs = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + prior_rhs
     precision = sd[:, :, None] * grams.jtj * sd[:, None, :]
-    diagonal = np.arange(len(origin))
-    precision[:, diagonal, diagonal] += weight
+    indices = np.arange(len(origin))
+    precision[:, indices, indices] += weight
     chol = cholesky(precision)
     mean = solve_tri(chol, solve_tri(chol, rhs), upper=True)
     displacement, z = offset + sd * mean, mean - prior_rhs
@@ -165,7 +165,7 @@ def draw_x(
     half_logdet = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     volume = np.broadcast_to(prior.flat_volume, len(sd))
     log_marginal = volume - 0.5 * (size * LOG_2PI + grams.logdet + 2 * half_logdet + penalised_rss)
-    deviations = solve_tri(chol, normal, upper=True)
+    deviations = solve_tri(chol, deviates, upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return XDraws(
         np.where(np.isfinite(log_marginal) & (penalised_rss > 0), log_marginal, -np.inf),
@@ -188,7 +188,7 @@ def cholesky(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p
 def solve_tri(
     chol: Float[np.ndarray, "b p p"], rhs: Float[np.ndarray, "b p"], upper: bool = False
 ) -> Float[np.ndarray, "b p"]:
-    """Solve L·z = rhs, or Lᵀ·z = rhs if `upper`, for many lower triangular matrices L at once."""
+    """Return the solutions z of L·z = rhs, or of Lᵀ·z = rhs if `upper`, for b lower triangular matrices L."""
     z, order = np.empty_like(rhs), range(rhs.shape[1])
     if len(rhs) <= 2 * len(
         order

@@ -27,7 +27,7 @@ class HostColumns:
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._programs = dict[Basis, Callable[..., Any]]()  # of bases that call JAX
-        self._is_vectorised = dict[Basis, bool]()  # over values of its shapes
+        self._is_vectorised = dict[Basis, bool]()  # accepts arrays as shapes
 
     def evaluate(
         self, basis: Basis, shapes: Mapping[str, Any], shifts: Mapping[str, np.ndarray]
@@ -60,12 +60,12 @@ class HostColumns:
         lengths = [len(v) for v in shapes.values()]
         lengths += [len(shift) for shift in shifts.values() if shift.ndim > 1]
         size = max(lengths, default=1)
-        parts = []
-        for part in np.array_split(np.arange(size), -(-size * self.frame.size // MAX_ELEMENTS)):
-            values = {n: np.broadcast_to(v, (size,))[part] for n, v in shapes.items()}
-            part_shifts = {n: m[part] if m.ndim > 1 else m for n, m in shifts.items()}
-            parts.append(self._evaluate_part(basis, values, part_shifts, len(part)))
-        return np.concatenate(parts)
+        batches = []
+        for rows in np.array_split(np.arange(size), -(-size * self.frame.size // MAX_ELEMENTS)):
+            values = {n: np.broadcast_to(v, (size,))[rows] for n, v in shapes.items()}
+            row_shifts = {n: m[rows] if m.ndim > 1 else m for n, m in shifts.items()}
+            batches.append(self._evaluate_part(basis, values, row_shifts, len(rows)))
+        return np.concatenate(batches)
 
     def _evaluate_part(
         self, basis: Basis, shapes: Mapping[str, Any], shifts: Mapping[str, Any], size: int

@@ -18,21 +18,21 @@ T_DOF = 5  # degrees of freedom of the Student-t proposals
 def correct_weights(
     problem: Problem,
     draws: XDraws,
-    normal: Float[np.ndarray, "b p"],
+    deviates: Float[np.ndarray, "b p"],
     hyper: Batch,
     has_exact_marginal: bool,
     is_student_t: bool,
 ) -> Float[np.ndarray, "b"]:
     """Return the correction of each draw's log weight for nonlinearity, log p(y, x | φ) − log q(x) − log p̂(y | φ).
 
-    q is the proposal from which x was drawn with the numbers `normal` (Student-t if `is_student_t`), p̂ the marginal
+    q is the proposal of x, drawn with `deviates` (Student-t if `is_student_t`, else normal), p̂ the marginal
     likelihood of the linearised model. has_exact_marginal: p̂ is exact if the output is affine.
     """
     if problem.is_affine and has_exact_marginal:
         return np.zeros(len(draws.x))
     # x = shift + S·L⁻ᵀ·ε has the density of ε over |S·L⁻ᵀ|, the volume of the map.
-    squares = np.sum(normal**2, axis=1)
-    log_proposal = _compute_log_density(squares, normal.shape[1], is_student_t) - draws.log_volume
+    squares = np.sum(deviates**2, axis=1)
+    log_proposal = _compute_log_density(squares, deviates.shape[1], is_student_t) - draws.log_volume
     expected, variance = problem.expected_and_extra(draws.x, hyper)
     log_prior = -0.5 * (draws.squares + LOG_2PI * np.sum(problem.weight_of_x))
     # The weight of φ contains p̂(y|φ) already: it is replaced by likelihood × prior of x over the proposal density of x.
@@ -42,11 +42,11 @@ def correct_weights(
 
 
 def draw_normals(size: int, count: int, is_student_t: bool, rng: np.random.Generator) -> np.ndarray:
-    """Draw standard normal, or multivariate Student-t, numbers (b, p) for proposals of x."""
-    normal = rng.standard_normal((count, size))
+    """Draw standard normal deviates (count, size), or multivariate Student-t ones, for proposals of x."""
+    deviates = rng.standard_normal((count, size))
     if is_student_t:
-        normal *= np.sqrt(T_DOF / rng.chisquare(T_DOF, count))[:, None]
-    return normal
+        deviates *= np.sqrt(T_DOF / rng.chisquare(T_DOF, count))[:, None]
+    return deviates
 
 
 def _compute_log_density(

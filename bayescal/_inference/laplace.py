@@ -32,7 +32,7 @@ MIN_INCREASE_NATS = 1e-8  # tolerance: increase of the log density per round
 
 
 class Mode(NamedTuple):
-    """Mode φ̂ of the marginal density, x̂ given φ̂, and the Laplace approximation in φ's coordinates."""
+    """Mode φ̂ of the marginal density of φ, mode x̂ given φ̂, and the Laplace approximation in φ's coordinates."""
 
     x: Any  # coefficients x̂ (p,)
     v: Any  # coordinates of φ̂ (d,)
@@ -106,10 +106,10 @@ def _find_start(problem: Problem) -> Float[np.ndarray, "p"]:
     """Return the starting point of x: the prior mean, or for three axes a fit to estimated directions of the input."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
-    projected = None if vector is None else vector.with_directions(record.frame, record.y)
-    if projected is None:
+    projections = None if vector is None else vector.with_directions(record.frame, record.y)
+    if projections is None:
         return start
-    record, centre = Record(record.instrument, *projected), np.zeros(len(problem.hypers))
+    record, centre = Record(record.instrument, *projections), np.zeros(len(problem.hypers))
     auxiliary = Problem(problem.layout, record, problem.size_factors)
     return find_mode_of_x(auxiliary, start, centre, compute_flat_scales(auxiliary, start, centre))
 
@@ -176,7 +176,7 @@ def _maximise_marginal(
 
 
 def select_start(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the starting point of highest density (d,)."""
+    """Return the starting point of highest density, coordinates of φ (d,)."""
     index = int(np.argmax(density.values(np.array(starts)))) if len(starts) > 1 else 0
     return starts[index]
 
@@ -229,8 +229,8 @@ def find_mode_of_x(
             return math.inf, None
         # Sum of squares at the point itself, not at the minimum of the linear model.
         z = prior.weight * (point - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        at_point = condition(gram, problem.record.size, prior, point)
-        return density.rss(hyper, gram) + float(z @ z), at_point
+        point_conditional = condition(gram, problem.record.size, prior, point)
+        return density.rss(hyper, gram) + float(z @ z), point_conditional
 
     squares, conditional = evaluate(x)
     for _ in range(50):
@@ -267,7 +267,7 @@ def fit_at_mode(
 ) -> Mode:
     """Return the Laplace approximation of φ at its mode, and the Laplace evidence.
 
-    change: last step of φ, standard deviations. exact: compute the Hessian instead of a BFGS estimate.
+    change: last step of φ, standard deviations. x: default, that of `density`. exact: compute the Hessian, not by BFGS.
     """
     x = density.x if x is None else x
     is_group_sd = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)
@@ -275,5 +275,5 @@ def fit_at_mode(
     if fit.log_density <= NOWHERE:
         fit = fit._replace(log_evidence=-math.inf, indefinite=True)
         change = math.inf
-    at_v = fit.covariance, fit.log_density, fit.log_evidence
-    return Mode(x, v, *at_v, change, density.flat_scales, fit.indefinite)
+    fit_results = fit.covariance, fit.log_density, fit.log_evidence
+    return Mode(x, v, *fit_results, change, density.flat_scales, fit.indefinite)

@@ -93,21 +93,21 @@ def draw_gaussian(layout: Layout, solution: Solution, count: int, seed: int) -> 
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0))
     centre = np.concatenate([solution.mode.x, solution.mode.v[phi_index]])
     count = CHAINS * max(1, count // CHAINS)
-    normal = rng.standard_normal((count, len(centre)))
+    deviates = rng.standard_normal((count, len(centre)))
     # Exact sample moments: mean and covariance of the draws equal those of the fit.
     if count > 4 * len(centre) and len(centre):
-        normal = _standardise_moments(normal)
-    theta = centre + normal @ root.T
+        deviates = _standardise_moments(deviates)
+    theta = centre + deviates @ root.T
     v = np.tile(solution.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, phi_index] = theta[:, layout.size :]
     return Draws.of(theta[:, : layout.size], v)
 
 
-def _standardise_moments(normal: np.ndarray) -> np.ndarray:
-    """Transform normal draws (s, q) linearly to sample mean 0 and sample covariance I, exactly."""
+def _standardise_moments(deviates: np.ndarray) -> np.ndarray:
+    """Transform normal deviates (s, q) linearly, so that their sample mean is 0 and their sample covariance I."""
     # Polar decomposition: with Z − mean = U·s·Vᵀ, U·Vᵀ is the nearest matrix with orthonormal columns.
-    svd = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
-    return svd.U @ svd.Vh * np.sqrt(len(normal) - 1)
+    svd = np.linalg.svd(deviates - deviates.mean(axis=0), full_matrices=False)
+    return svd.U @ svd.Vh * np.sqrt(len(deviates) - 1)
 
 
 class QR(NamedTuple):
@@ -310,26 +310,26 @@ class _Refinement:
         """Return a function that maps v to the conditional posterior of θ for the model linearised at θ."""
         table, extra = self.table(theta, v)
         # Homoscedastic: the table is replaced by its R factor, and whitening divides by σ.
-        is_even, law = self.is_homoscedastic, self.problem.noise
+        is_homoscedastic, law = self.is_homoscedastic, self.problem.noise
         coordinate = law.variance_coordinate(self.problem.record.frame)
-        reduced = np.triu(dgeqrf(table)[0][: table.shape[1]]) if is_even else table
+        reduced_table = np.triu(dgeqrf(table)[0][: table.shape[1]]) if is_homoscedastic else table
         nans = np.full((theta.size, theta.size), np.nan)
         undefined_result = _Conditional(np.full(theta.size, np.nan), nans, np.nan, np.nan)
 
         def condition_at(v: np.ndarray) -> _Conditional:
             prior = self.prior(v)
-            if is_even:
+            if is_homoscedastic:
                 variance = float(law.variance_at(self.problem.hyper(v), coordinate))
                 if not variance > np.finfo(float).tiny:
                     return undefined_result
-                whitened = reduced / math.sqrt(variance)
+                whitened = reduced_table / math.sqrt(variance)
             else:
-                whitened = self.whiten(v, extra, table[:, -1])(reduced)
+                whitened = self.whiten(v, extra, table[:, -1])(reduced_table)
             offset, prior_rhs = prior.offset_from(theta, np.sum(whitened[:, :-1] ** 2, axis=0))
             a, r = whitened[:, :-1], whitened[:, -1]
-            scaled = np.column_stack([a * prior.sd, r - a @ offset])
+            scaled_table = np.column_stack([a * prior.sd, r - a @ offset])
             rows = np.column_stack([np.diag(prior.weight), prior_rhs])
-            qr_factor = qr(np.concatenate([scaled, rows]))
+            qr_factor = qr(np.concatenate([scaled_table, rows]))
             if not qr_factor.is_full_rank:
                 return undefined_result
             step = qr_factor.solution
@@ -344,7 +344,7 @@ class _Refinement:
         return condition_at
 
     def fit_noise(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Re-estimate the common noise standard deviation in v, as √(residual sum of squares / degrees of freedom).
+        """Return v with the common noise sd re-estimated as √(residual sum of squares / degrees of freedom).
 
         Restricted likelihood (REML), θ integrated out: H. Patterson and R. Thompson, Biometrika 58 (1971) 545.
         """

@@ -86,7 +86,7 @@ class Marginal(Method):
     def approximate(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
     ) -> Outcome:
-        """Return the Gaussian approximation about the mode; `why`: reason for the end of sampling, for a note."""
+        """Return the Gaussian approximation about the mode; `why`: reason why sampling ended, for a note."""
         outcome = LeastSquares(draws=self.draws).outcome(
             problem.layout, refine(problem, mode, False), seed
         )

@@ -32,7 +32,7 @@ class Means:
 
     @classmethod
     def from_record(cls, record: Record, count: int) -> Means:
-        """Average blocks of `count` successive readings; a block ends earlier where a run ends or a label changes."""
+        """Return means of blocks of `count` readings; a block ends earlier where a run ends or a label changes."""
         frame = record.frame.sort_by_time()
         is_first = frame.step < 0
         for labels in (*frame.codes.values(), *frame.labels.values()):
@@ -44,13 +44,13 @@ class Means:
         clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), starts)
         step = np.where(frame.step[starts] < 0, -1.0, np.diff(clock, prepend=0.0))
         means = frame.reorder(starts, np.arange(len(starts)), step)
-        averaged = {
+        arrays = {
             n: {k: mean_rows(a, starts) for k, a in getattr(frame, n).items()}
             for n in ROW_FIELDS
             if n not in ("codes", "labels")  # constant within a block
         }
         y = mean_rows(record.y[record.time_order[0]], starts)
-        return cls(record, Record(record.instrument, replace(means, **averaged), y), starts, count)
+        return cls(record, Record(record.instrument, replace(means, **arrays), y), starts, count)
 
     @cached_property
     def counts(self) -> Int[np.ndarray, "m"]:
@@ -58,7 +58,7 @@ class Means:
         return np.diff(self.starts, append=self.source.size)
 
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
-        """Average rows, one per reading, within each block (m, …)."""
+        """Return the mean of rows, one per reading (n, …), in each block (m, …)."""
         order = self.source.time_order[0]
         return mean_rows(rows if self.source.is_time_ordered else rows[order], self.starts)
 

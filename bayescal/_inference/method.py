@@ -53,7 +53,7 @@ class Verdict:
 
     @property
     def why_not(self) -> str:
-        """Return the reasons against using the result, as sentences; empty if there are none."""
+        """Return the reasons why the result must not be used, as sentences; "" if there are none."""
         return " ".join(self.reasons if not self.ok else self.against)
 
     @classmethod
@@ -101,7 +101,7 @@ class Outcome:
 
 @static
 class Method(abc.ABC):
-    """Base class of fitting methods: the third extension point, after effects and noise laws."""
+    """Base class of fitting methods, from which a user-defined method is derived."""
 
     name: ClassVar[str]
 
@@ -110,7 +110,7 @@ class Method(abc.ABC):
 
     @abc.abstractmethod
     def run(self, problem: Problem, seed: int, start: Mapping[str, float] = NO_START) -> Outcome:
-        """Fit the model. Lack of convergence does not raise: it is in the verdict.
+        """Fit the model; a fit that does not converge raises no error, its verdict says so.
 
         Args:
             problem: model bound to readings.

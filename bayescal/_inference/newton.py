@@ -26,8 +26,8 @@ MAX_NEWTON_STEPS = 100  # of one maximisation
 MAX_BACKTRACKS, BACKTRACK_FACTOR = 8, 0.3  # of a line search
 FTOL_NATS = 1e-6  # default tolerance of the predicted increase, about the error of differences
 MAX_FTOL_NATS = 0.01  # tolerance below `coarse_below`
-MAX_OUTSIDE = 0.1  # largest squared length, outside group deviations, of their eigenvectors
-MIN_FACTOR = 0.1  # smallest factor of one shortening of a difference step
+MAX_OUTSIDE = 0.1  # largest squared length, outside group deviations, of an eigenvector along them
+MIN_FACTOR = 0.1  # smallest factor by which a difference step is shortened at once
 NOWHERE = -1e300  # log density where it is undefined
 
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
@@ -72,19 +72,19 @@ def maximise(
     """
     scale, use_exact, radius = np.broadcast_to(density.scale, v.shape), False, MAX_STEP_SD
     for _ in range(MAX_NEWTON_STEPS if len(v) else 0):
-        if (current := density.evaluate(v, exact=use_exact)) is None:
+        if (model := density.evaluate(v, exact=use_exact)) is None:
             break
-        eigenvalues, vectors = np.linalg.eigh(scale[:, None] * current.curvature * scale)
-        gradient = scale * current.gradient
+        eigenvalues, vectors = np.linalg.eigh(scale[:, None] * model.curvature * scale)
+        gradient = scale * model.gradient
         step = vectors @ (vectors.T @ gradient / np.maximum(np.abs(eigenvalues), MIN_CURVATURE))
         predicted_change = float(step @ gradient)
-        if 0.5 * predicted_change < (ftol if current.log_density > coarse_below else MAX_FTOL_NATS):
+        if 0.5 * predicted_change < (ftol if model.log_density > coarse_below else MAX_FTOL_NATS):
             break
         length = float(np.max(np.abs(step)))
         t = t_max = min(1.0, radius / length)
         for _ in range(MAX_BACKTRACKS):
             trial = v + t * scale * step
-            change = density.value(trial) - current.log_density
+            change = density.value(trial) - model.log_density
             # Sufficient increase (Armijo condition; ibid., eq. 3.4).
             if change >= 1e-4 * t * predicted_change:
                 break
@@ -122,10 +122,10 @@ def fit_gaussian(
     clipped_values = np.maximum(eigenvalues, MIN_CURVATURE)
     covariance = (vectors / clipped_values) @ vectors.T * np.outer(scale, scale)
     log_volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(clipped_values / scale**2)))
-    outside = np.sum(vectors[~np.broadcast_to(is_group_sd, len(v))] ** 2, axis=0)
-    indefinite = bool(np.any((eigenvalues < MIN_CURVATURE) & (outside > MAX_OUTSIDE)))
+    outside_squares = np.sum(vectors[~np.broadcast_to(is_group_sd, len(v))] ** 2, axis=0)
+    is_indefinite = bool(np.any((eigenvalues < MIN_CURVATURE) & (outside_squares > MAX_OUTSIDE)))
     covariance, value = 0.5 * (covariance + covariance.T), model.log_density
-    return GaussianFit(v, covariance, value, value + log_volume, indefinite)
+    return GaussianFit(v, covariance, value, value + log_volume, is_indefinite)
 
 
 class NumericDensity:
@@ -153,14 +153,14 @@ class NumericDensity:
         self._stencil: Any = None  # latest point, steps along the axes, log densities there
 
     def fix_others(self, guess: HessianGuess, free: Bool[np.ndarray, "d"]) -> NumericDensity:
-        """Return the density of the free coordinates, with the others fixed at those of `guess`."""
+        """Return the density of the coordinates that are `free` (d,), with the others fixed at those of `guess`."""
         fixed, embedding = np.where(free, 0.0, guess.v), np.eye(len(free))[free]
         guess = HessianGuess(guess.v[free], guess.curvature[np.ix_(free, free)], True)
         return NumericDensity(lambda vs: self.values(fixed + vs @ embedding), guess=guess)
 
     @property
     def next_guess(self) -> HessianGuess | None:
-        """Return the latest point and curvature, as a first estimate for another, similar density."""
+        """Return the latest point and curvature, as a first estimate of the Hessian of a similar density."""
         last: tuple[np.ndarray, LocalModel] | None = self._last
         return self._guess if last is None else HessianGuess(last[0], last[1].curvature)
 
@@ -170,7 +170,7 @@ class NumericDensity:
         return float(self.values(v[None])[0]) if value is None else value.log_density
 
     def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> LocalModel | None:
-        """Return value, gradient, curvature at v, None if undefined; `exact`: cross terms by differences, not BFGS."""
+        """Return value, gradient and curvature at v, None if undefined; exact: cross terms by differences, not BFGS."""
         last, guess = self._last, self.next_guess  # `last`: the latest point and its result
         if last is not None and (self._exact or not exact) and np.array_equal(last[0], v):
             return last[1]
@@ -236,7 +236,7 @@ class NumericDensity:
         return None
 
     def _fill_hessian(self, v: np.ndarray, diagonal: Float[np.ndarray, "d"]) -> np.ndarray:
-        """Fill a Hessian with its diagonal and cross terms from a similar density's correlations; others are NaN."""
+        """Return a Hessian with this diagonal and cross terms by a similar density's correlations; others are NaN."""
         hessian, guess = np.full((len(v), len(v)), np.nan), self._guess
         if guess is not None:
             scale = np.sqrt(np.maximum(np.diag(guess.curvature), np.finfo(float).tiny))

@@ -101,7 +101,7 @@ class ColumnNodes(SingleNode):
 
 
 class Segment(NamedTuple):
-    """A segment of a run's frequencies, with its interpolation nodes."""
+    """A segment of a run's frequencies (rows of its cosine transform), with its interpolation nodes."""
 
     rows: slice
     frequencies: Float[np.ndarray, "c"]  # real frequency indices of the nodes
@@ -193,11 +193,11 @@ class DCTNodes(SingleNode):
             nodes = self.node_slices[n]
             m = _assemble_blocks([t.correction(n, sign) for t in terms], count)
             z = (whiten[:, :, nodes] * squares) @ u[:, :, nodes].transpose(0, 2, 1)
-            core = np.eye(u.shape[1]) - m @ z
-            sign_det, log_core = np.linalg.slogdet(core)
+            factor = np.eye(u.shape[1]) - m @ z
+            sign_det, log_core = np.linalg.slogdet(factor)
             log_det = log_det + self.run_counts[n] * np.where(sign_det > 0, log_core, np.inf)
-            core = np.where(np.isfinite(core), core, np.eye(len(core[0])))
-            inner[n, sign] = np.linalg.solve(core, m)
+            factor = np.where(np.isfinite(factor), factor, np.eye(len(factor[0])))
+            inner[n, sign] = np.linalg.solve(factor, m)
             ends[n, sign] = whiten[:, :, nodes]
         return Weights(inverse, log_det, ends, inner)
 

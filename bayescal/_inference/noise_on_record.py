@@ -96,7 +96,7 @@ def whitening(
     """Return the whitening of readings under a noise law at given parameters.
 
     Under a non-Gaussian law a reading's precision is that of the Gaussian scale mixture at its `residual`, or the
-    inverse variance if `residual` is None.
+    inverse variance if `residual` is None. extra: additional variance of each reading.
     """
     if not law.independent:
         return Whitening(law, values, record, extra)
@@ -190,7 +190,7 @@ def _run_densities(law: Noise, frame: Frame, y, residuals, extra, values):
     return jax.lax.map(log_density, (residuals, extra, values))
 
 
-@partial(compile_on_call, costly=True)  # random numbers are expensive
+@partial(compile_on_call, is_costly=True)  # random numbers are expensive
 def _draw_in_program(law: Noise, frame: Frame, means, keys, values):
     def draw(args):
         mean, key, phi = args
@@ -246,10 +246,10 @@ def _compute_log_densities(
 def draw_samples(
     law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Batch, seed: int
 ) -> Float[np.ndarray, "b n"]:
-    """Draw readings about given expected outputs."""
+    """Draw readings (b, n) about expected outputs `means` (b, n), output unit, for b draws of φ."""
     if law.independent and law.gaussian:
-        normal = np.random.default_rng(seed).standard_normal(means.shape)
-        return means + np.sqrt(variances(law, hyper, record)) * normal
+        deviates = np.random.default_rng(seed).standard_normal(means.shape)
+        return means + np.sqrt(variances(law, hyper, record)) * deviates
     # A key is independent of the number of keys: generate them in fixed batches, by one program.
     count = -(-len(means) // KEY_BATCH_SIZE) * KEY_BATCH_SIZE
     keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))
@@ -259,7 +259,7 @@ def draw_samples(
 def normal_scores(
     law: Noise, values: Values, record: Record, residual: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
-    """Transform residuals to scores that are independent standard normal under the law."""
+    """Transform residuals to scores (n,) that are independent and standard normal under the law."""
     frame = record.frame if law.independent else record.frame.sort_by_time()
     variance = _sort_by_time(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
     frame = add_variance(frame, variance)
@@ -272,14 +272,14 @@ def _run_batches(
 ) -> Float[np.ndarray, "b n"]:
     """Run a compiled function on batches of draws; the last batch is padded with its last draw."""
     names = list(law.parameters())
-    arrays_given = [a for a in arrays if a is not None]
-    count = max([*(np.size(hyper[n]) for n in names), *map(len, arrays_given), 1])
+    given_arrays = [a for a in arrays if a is not None]
+    count = max([*(np.size(hyper[n]) for n in names), *map(len, given_arrays), 1])
     phi = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     arrays = tuple(a if a is None else _sort_by_time(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))
     max_batch = max(1, MAX_BATCH_ELEMENTS // record.padded_size)
-    is_few = count <= 8 * BATCH_DRAWS
-    batch_size = 1 if count == 1 else BATCH_DRAWS if is_few else min(256, max_batch)
+    is_small = count <= 8 * BATCH_DRAWS
+    batch_size = 1 if count == 1 else BATCH_DRAWS if is_small else min(256, max_batch)
     for start in range(0, count, batch_size):
         draws = np.minimum(start + np.arange(batch_size), count - 1)
         inputs: list[Any] = [

@@ -98,7 +98,7 @@ def make_init_strategy(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
 
 
 def to_numpyro_distribution(prior: priors.Normal | priors.FlatLine | priors.Positive) -> Any:
-    """Return a prior of φ as a NumPyro distribution of the value in its own unit."""
+    """Return a prior of an entry of φ as a NumPyro distribution of its value, in its own unit."""
     import numpyro.distributions as dist  # NumPyro only where its program is asked for
 
     match prior:

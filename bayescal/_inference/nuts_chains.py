@@ -112,12 +112,12 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
     z, diverging, steps = jax.tree.map(
         lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *blocks
     )
-    by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
-    return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
+    chain_draws = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
+    return Chains(chain_draws, int(np.sum(diverging)), float(np.mean(steps)))
 
 
 def whiten_posterior(problem: Problem, mode: Mode):
-    """Return the exact log density of (v, z), the map to (x, v), starting point and covariance.
+    """Return the exact log density of q = (v, z), the map q → (x, v, log Jacobian), starting point and covariance.
 
     z is x whitened by its conditional posterior of the linearised model, with the Gram matrix at the mode.
     """

@@ -100,7 +100,7 @@ class Problem:
         return [{n: float(c[i]) for n, c in columns.items()} for i in range(len(vs))]
 
     def log_prior(self, v: np.ndarray) -> float:
-        """Return the log prior density of φ in its coordinates."""
+        """Return the log prior density of φ at its coordinates v."""
         return float(self.layout.log_prior(v))
 
     def draw_x(
@@ -109,19 +109,19 @@ class Problem:
         vs: Float[np.ndarray, "b d"],
         flat_scales: Float[np.ndarray, "p"],
         origin: Float[np.ndarray, "p"],
-        normal: Float[np.ndarray, "b p"] | float = 0.0,
+        deviates: Float[np.ndarray, "b p"] | float = 0.0,
     ) -> XDraws:
-        """Map standard normal numbers (0: the mean) to draws of x given each of several φ, and log likelihoods of φ."""
+        """Return draws of x given each of several φ, from normal deviates (0: the mean), and log likelihoods of φ."""
         prior = self.prior(self.hyper(vs.T), flat_scales, (len(vs),))
-        normal = np.broadcast_to(normal, (len(vs), self.size))
-        return draw_x(gram, self.record.size, prior, origin, normal)
+        deviates = np.broadcast_to(deviates, (len(vs), self.size))
+        return draw_x(gram, self.record.size, prior, origin, deviates)
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
         """Return the log prior densities of several φ (b,)."""
         return self.layout.log_prior(v.T)
 
     def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-        """Return the value of one entry of φ and its standard uncertainty, given the covariance of coordinates."""
+        """Return the value of an entry of φ at v and its standard uncertainty, given the covariance of coordinates."""
         i = self.layout.index_in_phi[name]
         prior = self.hypers[i].prior
         return float(prior.value(v[i])), abs(slope(prior, v[i])) * math.sqrt(covariance[i, i])
@@ -138,7 +138,7 @@ class Problem:
     def prior(
         self, hyper: Mapping[str, Any], flat_scales: np.ndarray, count: tuple[int, ...] = ()
     ) -> Prior:
-        """Return the prior of x given φ, or given each of `count` φ; flat_scales: scales of flat priors (p,)."""
+        """Return the prior of x given φ, or each of b φ if `count` is (b,); flat_scales: scales of flat priors."""
         sd = np.where(self.weight_of_x > 0, self.sizes.evaluate(hyper, count), flat_scales)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
@@ -151,11 +151,11 @@ class Problem:
 
     @property
     def start(self) -> Float[np.ndarray, "p"]:
-        """Return the starting point of x: prior means, or the origin for coefficients that have one (p,)."""
+        """Return the starting point of x: prior means, or 0 (the origin) for coefficients with an origin (p,)."""
         return np.where(self.layout.x_origins != 0.0, 0.0, self.mean_of_x)
 
     def map_x(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
-        """Map the coefficients x of another problem to this one's (p,); missing ones are at their prior means."""
+        """Map the coefficients x of another problem to this one's (p,); others are at their prior means."""
         mapped_x, slices = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
         for t in self.in_x:
             if (x_slice := slices.get((t.effect.name, t.index))) is not None:
@@ -169,7 +169,7 @@ class Problem:
     def compose(
         self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], with_grad: bool = False
     ) -> ResponseArguments:
-        """Return the response's arguments, sums of terms, at x (p,) or at draws of x (b, p)."""
+        """Return the arguments of the response, sums of terms, at x (p,) or at draws of x (b, p)."""
         values = [self.value(t, x, hyper) for t in terms]
         return compose(self.host, terms, values, hyper, with_grad)
 
@@ -272,13 +272,13 @@ class Problem:
 
 
 def differentiate(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) -> np.ndarray:
-    """Return the gradient of f at a point by central differences; step: one number, or one per coordinate."""
+    """Return ∂f/∂point (d, …) by central differences; step: one number for all coordinates, or one for each (d,)."""
     shifts = np.diag(np.broadcast_to(step, point.shape))
     return np.array([(f(point + s) - f(point - s)) / (2 * s.sum()) for s in shifts])
 
 
 def overwrite(values: np.ndarray, indices: list[int], v: np.ndarray) -> np.ndarray:
-    """Return a copy of v with the entries at `indices` replaced by `values`."""
-    changed = v.copy()
-    changed[indices] = values
-    return changed
+    """Return a copy of v with the entries at `indices` replaced by `values`, in order."""
+    copy = v.copy()
+    copy[indices] = values
+    return copy

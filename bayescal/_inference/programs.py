@@ -27,7 +27,7 @@ MIN_OPTIMISED_READINGS = 2000
 
 
 def padded_length(size: int) -> int:
-    """Return the padded length of a record."""
+    """Return the padded length of a record of `size` readings, one of a geometric series of lengths."""
     # A geometric series: padding is an eighth on average, and ten lengths cover a decade.
     step_count = max(0, math.ceil(math.log(size / MIN_PADDED_LENGTH, LENGTH_RATIO) - 1e-9))
     return max(size, round(MIN_PADDED_LENGTH * LENGTH_RATIO**step_count))
@@ -56,15 +56,15 @@ def pad_frame(frame: Frame) -> Frame:
     return jax.tree.map(jnp.asarray, padded_frame)
 
 
-def compile_on_call(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
-    """Return a function of (static argument, frame, *arrays) that is compiled at its first call.
+def compile_on_call(function: Callable[..., Any], is_costly: bool = False) -> Callable[..., Any]:
+    """Return a function of (static argument, frame, *arrays) that is compiled when first called.
 
-    It is fully optimised if `costly`, for long records and for laws that loop over readings; otherwise compiled fast.
+    Fully optimised if `is_costly`, for long records and for laws that loop over readings; otherwise compiled fast.
     """
 
     def is_long(argument: Any, frame: Frame, *_: Any) -> bool:
         has_loop = not getattr(argument, "independent", True)  # through all readings, at each φ
-        return frame.size >= MIN_OPTIMISED_READINGS or has_loop or costly
+        return frame.size >= MIN_OPTIMISED_READINGS or has_loop or is_costly
 
     return compile_lazily(function, is_long)
 
@@ -82,7 +82,7 @@ def respond_many(
 
 
 class ResponseSpec(NamedTuple):
-    """An instrument's response, and whether to differentiate it in reverse mode, for all slots at once."""
+    """An instrument's response, and whether to differentiate it in reverse mode (all slots at once)."""
 
     response: Callable[..., Any]
     reverse_mode: bool

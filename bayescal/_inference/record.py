@@ -34,8 +34,8 @@ from bayescal._model.terms import ColumnSpec
 MAX_CACHE_BYTES = 256 * 2**20  # of columns of effects with shapes, and of expansions
 DIFF_STEP_RANGES = 1e-4  # difference step of a column over the column's range
 AFFINE_TOLERANCE = 1e-9  # largest relative change of the derivatives of an affine response
-CALL_DRAWS = 48  # largest number of draws per call of a program,
-CALL_ELEMENTS = 16_384  # or, if more, this many draws × readings: of fewer, overhead dominates
+CALL_DRAWS = 48  # largest number of draws per call of a program, or
+CALL_ELEMENTS = 16_384  # draws × readings per call, if that is more: otherwise overhead dominates
 
 Arrays = Mapping[str, np.ndarray]  # by name of a slot or column: (n,), or (b, n) for b draws
 
@@ -163,7 +163,7 @@ class Record:
         return self._expansions[key]
 
     def nodes(self, law: Noise) -> SingleNode | None:
-        """Return the nodes that interpolate inner products in the noise parameters; None if the law has none here."""
+        """Return nodes to interpolate inner products in a law's parameters; None if law or record has none."""
         coordinate = law.variance_coordinate(self.frame)
         if coordinate is not None:
             key: Any = coordinate.tobytes()
@@ -214,7 +214,7 @@ class Record:
     def respond(
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Return the expected output (n,), or (b, n) for draws, and its derivatives by slot or shifted column."""
+        """Return the expected output (n,), or (b, n) for draws, and derivatives by slot or column (may be {})."""
         if not shifts and self.affine_map is not None:
             base, slopes = self.affine_map
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
@@ -248,7 +248,7 @@ class Record:
         return DIFF_STEP_RANGES * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
     def _get_cached_response(self, slots, shifts):
-        """Return the response and its derivatives at one set of slot values and shifts; the latest is cached."""
+        """Return the response and its derivatives at one set of slot values and shifts; the latest result is cached."""
         key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *shifts.items())]
         latest = self._latest
         if latest is None or latest[0] != key:
@@ -297,7 +297,7 @@ class Record:
         return base, slopes
 
     def _draw_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
-        """Yield two random sets of slot values that change the output by about its range, to test for affinity."""
+        """Yield two random sets of slot values, which change the output by about its range, to test affinity."""
         rng, span = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
         max_slopes = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
         amplitudes = {n: min(1.0, span / s) if s > 0 else 1.0 for n, s in max_slopes.items()}

@@ -51,14 +51,14 @@ def promote_products(
         if not blocks:
             return problem, notes, None
         mode = find_mode(problem, start=start)
-        sizes = _compute_second_order(problem, mode)
-        strength = {b.name: float(np.sqrt(np.sum(sizes[b.x_slice] ** 2))) for b in blocks}
+        terms = _compute_second_order(problem, mode)
+        strength = {b.name: float(np.sqrt(np.sum(terms[b.x_slice] ** 2))) for b in blocks}
         # Either factor can be promoted. One with a learned standard deviation would form a funnel with it: last choice.
         candidates = [b for b in blocks if strength[b.name] >= threshold]
         if not candidates:
             return problem, notes, mode
-        preferred = [b for b in candidates if b.coefficient.group_sd is None]
-        strongest = max(preferred or candidates, key=lambda b: strength[b.name])
+        preferred_blocks = [b for b in candidates if b.coefficient.group_sd is None]
+        strongest = max(preferred_blocks or candidates, key=lambda b: strength[b.name])
         # Together with the effect's other coefficients in the same slot, if they all fit.
         group = [b for b in blocks if b.effect is strongest.effect and b.slot == strongest.slot]
         group = [b for b in group if b is strongest or strength[b.name] >= 0.1 * threshold]
@@ -84,9 +84,9 @@ def _compute_second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"
     variances = np.diag(conditional.covariance)
     root = np.linalg.cholesky(conditional.covariance + 1e-12 * np.diag(variances))
     noise = np.sqrt(variance(problem.noise, hyper, problem.record))[:, None]
-    sizes = []
+    terms = []
     # ∂J/∂xᵢ·sd(xᵢ) times a square root of the covariance of x, in units of each reading's noise.
     for step in DIFF_STEP_SD * np.diag(np.sqrt(variances)):
         upper, lower = (problem.linearise(mode.x + s, hyper).jacobian for s in (step, -step))
-        sizes.append(np.linalg.norm((upper - lower) / (2 * DIFF_STEP_SD) @ root / noise))
-    return np.array(sizes)
+        terms.append(np.linalg.norm((upper - lower) / (2 * DIFF_STEP_SD) @ root / noise))
+    return np.array(terms)

@@ -96,14 +96,14 @@ class Mixture(NamedTuple):
         dim = self.centres.shape[1]
         # Multivariate Student-t: a normal vector times √(ν/χ²_ν), one factor for all its coordinates.
         scale = np.sqrt(self.dof / rng.chisquare(self.dof, count))[:, None]
-        normal = rng.standard_normal((count, dim))
+        deviates = rng.standard_normal((count, dim))
         component = rng.integers(len(self.centres), size=count)
         is_split = rng.random(count) < self.split_weight
-        kernel_draws = self.centres[component] + scale * normal @ self.chol.T
+        kernel_draws = self.centres[component] + scale * deviates @ self.chol.T
         # Split normal: the probability of a side is proportional to its width.
         down, up = self.widths
-        below_centre = down * ndtri(np.minimum(ndtr(normal) * (down + up) / (2 * down), 0.5))
-        above_centre = -up * ndtri(np.minimum(ndtr(-normal) * (down + up) / (2 * up), 0.5))
+        below_centre = down * ndtri(np.minimum(ndtr(deviates) * (down + up) / (2 * down), 0.5))
+        above_centre = -up * ndtri(np.minimum(ndtr(-deviates) * (down + up) / (2 * up), 0.5))
         wide_draws = self.middle + scale * (below_centre + above_centre) @ self.axes.T
         return np.where(is_split[:, None], wide_draws, kernel_draws)
 
@@ -163,7 +163,7 @@ class BatchedDensity:
         self.far_fraction = min(1.0, FAR_ELEMENTS / (PRIOR_WEIGHT * MAX_PROPOSALS * self.size))
 
     def draw_at(self, v: Float[np.ndarray, "b d"], z: np.ndarray) -> tuple[np.ndarray, XDraws]:
-        """Return the log density of each φ (b,), and map standard normal z (b, p) to draws of x given φ."""
+        """Return the log density of each φ (b,), and draws of x given φ from normal deviates z (b, p)."""
         log_prior = self.problem.log_priors(v)
         args = self.mode.flat, self.density.origin
         draws = self.problem.draw_x((self.table or self.density).grams(v), v, *args, z)
@@ -219,7 +219,7 @@ def adapt_proposal(
     Args:
         mode: mode of the density and Laplace approximation.
         values: function that returns the unnormalised log density at several points.
-        prior: defensive proposal; None if the prior is improper.
+        prior: prior as a defensive proposal; None if it is improper.
         proposals: number of draws per round.
         rounds: largest number of rounds; fewer if the effective sample size is large, or k̂ sound after three.
         limit: log density above which a draw reveals a higher mode, and adaptation stops.
@@ -261,8 +261,8 @@ class Rounds:
         log_q = np.array([*densities, log_proposal])
         if self.mixtures:
             log_density = _mix_log_density(mixture, self.prior, self.samples.v)
-            previous = np.vstack([self.log_q, log_density])
-            log_q = np.concatenate([previous, log_q], axis=1)
+            rows = np.vstack([self.log_q, log_density])
+            log_q = np.concatenate([rows, log_q], axis=1)
         self.mixtures.append(mixture)
         self.log_q = log_q
         self.counts.append(len(sample.v))
@@ -280,7 +280,7 @@ class Rounds:
         return self.samples.log_density - np.asarray(logsumexp(log_terms, axis=0))
 
     def weigh_draws(self, mode: Mode) -> WeightedDraws:
-        """Return the draws of all rounds with their importance weights, and the evidence."""
+        """Return the draws of all rounds with their importance weights, and the log evidence with its error."""
         v, _, x, corrections = self.samples
         log_weight_phi = self.log_weight
         is_weighted = corrections > NOWHERE
@@ -438,7 +438,7 @@ def _draw_coefficients(
     is_student_t: bool,
     rng: np.random.Generator,
 ) -> _Sample:
-    """Draw coefficients for each φ of non-negligible weight, and correct the weights for nonlinearity."""
+    """Draw x for each φ of non-negligible weight; return the draws and the corrections of their weights."""
     mode, problem, is_exact, count = density.mode, density.problem, density.is_exact, len(v)
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
     log_density, corrections, maximum = np.empty(count), np.full(count, NOWHERE), NOWHERE
@@ -488,7 +488,7 @@ def draw_proposals(
 def _mix_log_density(
     mixture: Mixture, prior: PriorComponent | None, v: Float[np.ndarray, "s d"]
 ) -> Float[np.ndarray, "s"]:
-    """Return the log density (s,) of mixture and prior, the proposal of `draw_proposals`."""
+    """Return the log density (s,) of the proposal of `draw_proposals`: mixture and prior."""
     if prior is None:
         return mixture.log_density(v)
     log_mixture, weight = mixture.log_density(v), prior.weight
@@ -510,8 +510,8 @@ def draw_prior(prior, rng: np.random.Generator, count: int) -> Float[np.ndarray,
     """Draw `count` values (s,) of one coordinate of φ from its proper prior."""
     if isinstance(prior, HalfCauchy):
         return np.log(np.abs(rng.standard_cauchy(count)))
-    normal = rng.standard_normal(count)
-    return np.log(np.abs(normal)) if isinstance(prior, HalfNormal) else normal
+    deviates = rng.standard_normal(count)
+    return np.log(np.abs(deviates)) if isinstance(prior, HalfNormal) else deviates
 
 
 def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:

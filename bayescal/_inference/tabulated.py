@@ -416,11 +416,11 @@ class PolynomialTable:
 
     def contains(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
         """Return whether each φ is inside the region of the polynomial fit (b,)."""
-        inside = np.ones(len(vs), dtype=bool)
+        is_inside = np.ones(len(vs), dtype=bool)
         for block, expansion in zip(self.tabulated.blocks, self.rows.expansions, strict=True):
             if isinstance(expansion, PolynomialColumns):
-                inside &= expansion.contains(vs[:, block.shape_indices])
-        return inside
+                is_inside &= expansion.contains(vs[:, block.shape_indices])
+        return is_inside
 
 
 class _StructureRows:
