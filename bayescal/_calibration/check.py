@@ -33,7 +33,8 @@ from bayescal._model.unknown_effect import RESOLUTION, make_process_columns, mak
 
 SIGNIFICANCE_LEVEL = 1e-3  # p-value of the tests without a Bayes factor
 
-Z_NOTE = "log Bayes factor: smooth dependence common to all runs (run: their differences); z: worst mean/standard error"
+Z_NOTE = "log Bayes factor (natural): smooth dependence common to all runs (run: their differences); strong from {:g}"
+Z_NOTE += "\nz: worst mean/standard error, if residuals are uncorrelated"
 
 
 @dataclass(frozen=True)
@@ -170,27 +171,25 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
             f"the rms is {check.rms / check.noise:.1f} times that",
             "",
         ]
-    lines += [tabulate_check(rows), Z_NOTE] if rows else ["no covariate varies"]
     strong = settings().strong_evidence
-    names = ", ".join(e.covariate for e in check.entries if e.log_bayes_factor > strong) or "none"
-    number_tested = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
-    lines.append(wrap(f"log Bayes factor (natural log) above {strong:g}{number_tested}: {names}"))
+    lines += [tabulate_check(rows), Z_NOTE.format(strong)] if rows else ["no covariate varies"]
+    if others := [e.covariate for e in check.entries[len(rows) :] if e.log_bayes_factor > strong]:
+        lines.append(wrap(f"also strong: {', '.join(others)}"))
     max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
-        f"{' and '.join(p.covariates)} together: interaction not explained by additive terms (log Bayes factor "
-        f"{p.log_bayes_factor:.1f})"
+        f"{' and '.join(p.covariates)} together: not additive (log Bayes factor {p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
         if p.log_bayes_factor > max_factor
     ]
     if max_rows is None:
-        coefficient, z = check.autocorrelation
-        lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+        text = "neighbours in time: correlation {:.2f} (z = {:.1f})"
+        lines.append(text.format(*check.autocorrelation))
         test = f"p = {check.pit_p:.2g}, leave-one-out probability integral transform"
         lines.append(f"noise law: {test}; excess kurtosis {check.excess_kurtosis:.2g}")
     lines += [f"scatter changes with {n} (p = {p:.1g})" for n, p in check.scatter_with.items()]
     if check.outliers:
         outlier_rows = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
-        lines.append(f"outliers: {outlier_rows}{' …' if len(check.outliers) > 5 else ''}")
+        lines.append(f"outliers, used in the fit: {outlier_rows}{' …' * (len(check.outliers) > 5)}")
     if check.one_sided < SIGNIFICANCE_LEVEL:
         lines.append(f"the largest residuals have mostly one sign (p = {check.one_sided:.1g})")
     return lines

@@ -28,7 +28,7 @@ from bayescal._inference.trust import MAX_K_HAT
 MIN_GROUPS = limit("compare.few_groups", "groups")
 GROUP_SCORE, EVIDENCE = "leave-one-group-out", "log evidence"
 LOO_SCORE = "pointwise leave-one-out"
-NOTE = "elpd: expected log predictive density; stacking weight: share in the mixture of models with the largest elpd."
+NOTE = "elpd: expected log predictive density; stacking weight: share in the mixture of largest leave-one-out elpd."
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Comparison(Printed):
         )
         count = f" ({self.groups} groups)" if self.chosen_by == GROUP_SCORE else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
-        heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {NOTE}"
+        heading = f"ranked by {self.chosen_by}{count}; differences are from the best elpd. {NOTE}"
         return [table, *(wrap(line, "") for line in (heading, *self.warnings))]
 
     def _format_summary(self) -> str:
@@ -203,8 +203,7 @@ def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -
         gap = (best.log_evidence or 0.0) - (runner_up.log_evidence or 0.0)
         if gap < settings().strong_evidence:
             yield undecided_claim(gap=f"{gap:.1f}", measure=rule)
-        best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
-        if best_by_groups is not best:
+        if (best_by_groups := max(rows, key=lambda r: r.group_score or -np.inf)) is not best:
             yield Claim("compare.other_first", best_by_groups.name)
     elif rule == GROUP_SCORE and runner_up.group_error:
         gap, error = -(runner_up.group_difference or 0.0), runner_up.group_error

@@ -173,7 +173,7 @@ class SensorNoise(Printed):
         remarks = [*texts, f"{prefix}: {', '.join(sum_texts[:MAX_PRINTED_SUMS])}."]
         remarks += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
         m, unit = self.measured, unit_label(self.unit) or "1"
-        header = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of records of that law"]
+        header = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of simulated records"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
         curve = [
             [number(t), number(d), number(e), f"{number(a)} to {number(b)}"]
@@ -590,6 +590,7 @@ def _list_columns(
         position = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
         columns = np.column_stack([legvander(position, CURVE_DEGREE)[:, 1:], columns])
         claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
+        claims += [Claim("noise.suspect_temperature", a.column) for a in readings.anomalies[:1]]
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
     columns = columns - columns.mean(axis=0)
@@ -767,11 +768,12 @@ def _summarise_figures(
     walks = pooled_draws("noise.walk")
     # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
     bound = np.concatenate([noise.walk for noise in sums.noises])
+    no_flicker = "no flicker resolved; " * (pooled_draws("noise.flicker") is None)
     rows = [
         ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, density_unit, f"{base}/Hz^0.5", white_density),
         ("B", f"{bias} (flicker)", bias_unit, base, pooled_draws("noise.flicker")),
-        ("", f"{bias} (lowest of its law / 0.664)", bias_unit, base, floor),
+        ("", f"{bias} ({no_flicker}lowest Allan deviation / 0.664)", bias_unit, base, floor),
         ("K", walk, walk_unit, f"{base}/s^0.5", bound if walks is None else walks),
         ("", "tone, rms", bias_unit, base, pooled_draws("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),

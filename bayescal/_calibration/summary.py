@@ -26,7 +26,7 @@ Direction = Float[np.ndarray, "p"]
 
 SKEWED = "skewed: see interval"  # in place of value ± u
 CONTRACTION = "contraction: 1 − posterior variance/prior variance"
-IN_PRIOR_SDS = "  (in prior standard deviations)"
+IN_PRIOR_SDS = " (in prior standard deviations)"
 MAX_TERMS = 8  # printed terms of a linear combination
 NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
 MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
@@ -208,9 +208,9 @@ def find_unidentified(
         order = order or [int(np.argmax(np.abs(v)))]
         sign = float(np.sign(v[order[0]]))
         combination = _format_combination([(sign * round(float(v[i]), 2), names[i]) for i in order])
-        combination += IN_PRIOR_SDS
         code = "direction.none" if len(order) == 1 else "direction.other"
-        claims.append(Claim(code, *(names[i] for i in order), combination=combination))
+        subjects = [names[i] for i in order]
+        claims.append(Claim(code, *subjects, combination=combination + IN_PRIOR_SDS))
     if member_vectors:  # those of group deviations and unknown functions' coefficients
         largest, is_single = np.max(np.abs(member_vectors), axis=0), is_single_coefficient(layout)
         is_traced = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()

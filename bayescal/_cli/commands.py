@@ -339,7 +339,7 @@ class DiscoverCommand(DefinitionOptions, AsJson, Command):
         elif self.next_experiment:
             rivals = discovery.rivals
             ranking = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
-            text += f"\n\n{ranking or 'next experiment: none (no second candidate is probable)'}"
+            text += f"\n\n{ranking or 'next experiment: none to tell candidates apart (no second one is probable)'}"
             data["next_experiment"] = None if ranking is None else experiment_data(ranking)
         return Answer(text, data)
 
@@ -412,6 +412,7 @@ class PredictCommand(ColumnOptions, StructureOptions, AsJson, Command):
         expected_rmse, unit = float((prediction.sd**2).mean()) ** 0.5, unit_label(calibration.unit)
         text = f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit} "
         text += f"({number(expected_rmse)} {unit} expected from the standard uncertainties)"
+        text += "; averaged over structures" * (min(calibration.inclusion.values(), default=1) < 1)
         text += f"\nwritten: {self.out}" if self.out else ""
         data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected_rmse}
         data |= {"unit": calibration.unit, "file": str(self.out) if self.out else None}

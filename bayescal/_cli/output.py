@@ -102,7 +102,8 @@ def convert_fit(calibration: Calibration) -> dict[str, Any]:
 def format_first_model(path: SearchPath, verbose: bool = False) -> str:
     """Format the output of `calibrate` after the fit of the first model."""
     parts = format_check(path.steps[0].check, None if verbose else MAX_CHECKS)
-    return _section("RESIDUALS OF THE FIRST MODEL", *parts)
+    method = ", fitted by least squares" * (path.steps[0].calibration.method == "least-squares")
+    return _section(f"RESIDUALS OF THE FIRST MODEL{method}", *parts)
 
 
 def _section(heading: str, *parts: object) -> str:
@@ -185,10 +186,11 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
     texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
     first, s = path.steps[0].discovery, settings()
-    given = ", given what is missing from step 0" if first and first.findings else ""
-    head = f"coefficients, corrections and budgets average {len(path.shares)} structures, those of "
-    head += f"probability {s.averaged_probability:g} or more in the {100 * s.found_probability:g} % credible set"
-    return wrap(f"{head}{given}: {texts}; --structure best uses the first alone")
+    given = "with what is missing from step 0 " * bool(first and first.findings)
+    head = f"coefficients, corrections and budgets are averaged over {len(path.shares)} structures"
+    share = f"of probability {s.averaged_probability:g} or more in the {100 * s.found_probability:g} % credible set"
+    note = f"these are all {given}{share}; their probabilities are scaled to a sum of 1"
+    return wrap(f"{head}: {texts} ({note}); --structure best uses the first alone")
 
 
 def _explain_not_tested(step: Step) -> str:
@@ -208,12 +210,9 @@ def _format_missing(path: SearchPath) -> list[str]:
             lines.append(f"missing from step {i}: {_explain_not_tested(step)}")
             continue
         questions |= dict.fromkeys(discovery.off_scale)
-        findings = [
-            f"{' or '.join(s.effects)} ({probability(s.probability)})"
-            for s in discovery.findings
-            if tuple(s.effects) not in added_alone
-        ]
-        lines += [f"missing from step {i}: {'; '.join(findings)}"] if findings else []
+        for s in (s for s in discovery.findings if tuple(s.effects) not in added_alone):
+            names = f"at least one of {', '.join(s.effects)}" if s.effects[1:] else s.effects[0]
+            lines.append(f"missing from step {i}: {names} ({probability(s.probability)})")
     return [wrap(line) for line in (*lines, *(f"unit? {words}" for words in questions))]
 
 

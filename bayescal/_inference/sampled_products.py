@@ -65,11 +65,9 @@ def promote_products(
         selected_blocks = group if sum(b.size for b in group) <= capacity else [strongest]
         layout = layout.promote(*(b.name for b in selected_blocks))
         names = ", ".join(b.name for b in selected_blocks)
-        verb, article = ("are", "the") if len(selected_blocks) > 1 else ("is", "its")
-        note = (
-            f"{names} {verb} sampled with the hyper-parameters: {article} product with other "
-            f"unknowns amounts to {strength[strongest.name]:.2g} noise standard deviations."
-        )
+        verb = "are" if len(selected_blocks) > 1 else "is"
+        size = f"{strength[strongest.name]:.2g} noise standard deviations"
+        note = f"{names} {verb} sampled, not linearised: the second-order term is {size}."
         notes = (*notes, note)
         problem = Problem(layout, record)
     return problem, notes, None

@@ -313,7 +313,7 @@ def noise(found: SensorNoise) -> Figure:
     is_fit = all(claim.severity == "note" for claim in found.claims)
     noise_text = found.law + " (does not fit)" * (not is_fit)
     bands = (
-        (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of records of that law"),
+        (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of simulated records"),
         (found.low, found.high, ORANGE, 0.4, "noise law, 95 % credible"),
     )
     for low, high, colour, alpha, label in bands:

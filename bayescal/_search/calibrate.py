@@ -96,8 +96,7 @@ def calibrate(
 
     Raises:
         ModelError: the readings lack what the model needs.
-        InputError: a column of `ignore` or `covariates` does not exist; or only one of readings and hold-out data has
-            dates.
+        InputError: no such column of `ignore` or `covariates`; or only one of readings and hold-out data has dates.
     """
     with deadline.limit(time_limit):
         measurements = prepare_readings(model, readings, holdout, keep_spikes, ignore, covariates)

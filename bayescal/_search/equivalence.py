@@ -188,7 +188,8 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
                 information = compute_nats(project_out(first, span))
                 if information > result[equivalent].get("nats", UNDECIDED_NATS):
-                    result[equivalent] = {"cure": "test", "experiment": name, "nats": information}
+                    test = {"cure": "test", "experiment": name, "nats": information}
+                    result[equivalent] = test | {"share": math.exp(-information / first.shape[1])}
     structures.experiments.update(result)
     return result
 

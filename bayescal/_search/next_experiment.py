@@ -93,8 +93,7 @@ def next_experiment(
     Args:
         calibration: fit of a model that lacks one of the effects.
         effects: two or more effects that its readings cannot distinguish, such as a finding of `discover`.
-        experiments: name → readings of a campaign as it would be recorded (outputs are not used); those of the
-            instrument if not given.
+        experiments: name → readings of a campaign as recorded (outputs are not used); default: the instrument's.
 
     Raises:
         ModelError: fewer than two effects, no feasible campaign, or one that lacks a column that an effect needs.

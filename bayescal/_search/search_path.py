@@ -28,7 +28,8 @@ from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
-FLOOR_NOTE = "noise floor: from neighbouring residuals; rms as fitted: about √(1 − effective unknowns/readings) of it"
+FLOOR_NOTE = "noise floor: from neighbouring residuals; rms as fitted: ≈ √(1 − {0}/{1}) of it ({0} effective unknowns)"
+LAPLACE_NOTE = "steps before the last: least squares, log evidence by Laplace's approximation"
 NEW_RUN_NOTE = "new run: rms error with the fitted deviations of runs and cells at zero; leave-one-…-out: after a refit"
 COMPLETE_NOTE = f"P(complete): {P_COMPLETE}"
 LATENT_NOTE = "also in the last model, not found but inseparable from effects in it: "
@@ -107,7 +108,8 @@ class Gate:
     claims: tuple[Claim, ...] = ()
 
     def __str__(self) -> str:
-        return f"{'' if self.ok else 'NOT '}fit for use: {self.reason}"
+        head = "fit for use; acceptance checks" if self.ok else "NOT fit for use"
+        return f"{head}: {self.reason}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,8 +156,7 @@ class SearchPath(Printed):
         text = f"rms residual {number(best.rms)} {unit}"
         if search.weighed == 1:
             return f"{search.seconds:.0f} s, first model: {text}"
-        share = f"probability {probability(best.probability)} among {search.weighed} structures"
-        return f"{search.seconds:.0f} s, best so far: {best}, {text}, {share}"
+        return f"{search.seconds:.0f} s, best so far: {best}, {text}, probability {probability(best.probability)}"
 
     @property
     def ending(self) -> str:
@@ -172,8 +173,7 @@ class SearchPath(Printed):
         if not lines and added_count >= allowed > 0:
             lines.append(f"The search added its maximum of {allowed} effects (--max-effects).")
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
-        probabilities = {c.effect: c.probability for c in discovery.candidates}
-        tested_effects = {n: p for n, p in probabilities.items() if p is not None}
+        tested_effects = {c.effect: c.probability for c in discovery.candidates if c.probability}
         name = max(tested_effects, key=tested_effects.__getitem__, default="")
         level = settings().found_probability
         if not name:
@@ -201,7 +201,10 @@ class SearchPath(Printed):
         note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
         lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
         lines += [NEW_RUN_NOTE] * new_run_differs(rows)
-        lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
+        if rows[-1]["rmse_fitted"] < rows[-1]["noise_floor"]:
+            directions = self.final.calibration.linear.directions  # of each effective unknown
+            lines.append(FLOOR_NOTE.format(round((directions**2).sum()), len(directions)))
+        lines += [LAPLACE_NOTE] * any("least" in s.calibration.method for s in self.steps[:-1])
         shares = [(s.effects, s.probability) for s in self.shares]
         heads, texts = list_headings(self.complete), dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
@@ -216,8 +219,8 @@ class SearchPath(Printed):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """Return each step as plain data: its errors, log evidence, and P(complete)."""
-        step_rows = [step.row(previous) for previous, step in pairwise([None, *self.steps])]
-        return [{"number": i, **row} for i, row in enumerate(step_rows)]
+        steps = enumerate(pairwise([None, *self.steps]))
+        return [{"number": i, **step.row(previous)} for i, (previous, step) in steps]
 
     @property
     def added(self) -> dict[str, float | None]:

@@ -210,8 +210,7 @@ def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[np.ndarray, "k"]:
     """Return an effect's log Bayes factor, up to a constant, from its score at each grid point of its shape.
 
-    An effect that corrects a column has no score: the log density of φ without the prior of its shape is used instead,
-    other φ fixed.
+    An effect that corrects a column has no score, but the log density of φ without its shape's prior, other φ fixed.
     """
     if name not in library.points:
         candidate_shape = library.structures.candidates[name].column_shapes[0]

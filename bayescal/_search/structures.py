@@ -2,9 +2,8 @@
 
 Candidates are included independently, with prior odds such that P(model complete) is one half: unknown dependences
 take a tenth of −log P(complete), the named candidates the rest. A candidate is a family of forms, which share its odds;
-a structure has one of them at most.
-A plausible size is known to an order of magnitude: evidence is averaged over 1, 3 and 10 times that size.
-Effects that readings cannot distinguish from those of a structure are latent in its model, with their priors.
+a structure has one of them at most. Plausible sizes are known to an order of magnitude: evidence is averaged over 1, 3
+and 10 times these. Effects that readings cannot distinguish from a structure's are latent in its model, with priors.
 """
 
 from __future__ import annotations

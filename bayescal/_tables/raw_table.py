@@ -299,6 +299,6 @@ def as_format(file: str, name: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        message = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
-        cure = "Does the format match the suffix, and is the file complete?"
-        raise unusable(file, f"cannot be read as {name}: {message}", cure) from error
+        cure = "Give the file the suffix of its format, or copy it again from its source"
+        fault = f"cannot be read as {name}: it is of another format, damaged or incomplete"
+        raise unusable(file, fault, cure) from error

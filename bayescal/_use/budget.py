@@ -40,7 +40,7 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, is_new_member
 
 REMAINDER = "between-run sd, time constants, second-order terms"
-STRUCTURES = "average over structures, not the most probable (rows above)"
+STRUCTURES = "averaging over structures (rows above: the most probable one alone)"
 INADEQUACY = "model inadequacy: u × f, f = {:.2f}, except new runs' deviations"
 SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
@@ -330,7 +330,7 @@ def _split_by_source(
         variances[f"{confounder.label}, collinear with the model's", "B"] = shift**2
     for name, (i, sd) in equation.unfound_spreads.items():
         undetected.append(float(gradient[i] * sd) ** 2)
-        variances[f"{name} of a new run, neither found nor excluded", ""] = undetected[-1]
+        variances[f"{name} of a new run, not found", ""] = undetected[-1]
     if (excess := 1 - calibration.form_factor**-2) > 0:
         g = gradient * [not is_new_member(u) for u in unknowns]
         of_model = float(g @ covariance @ g) - sum(undetected)

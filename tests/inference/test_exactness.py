@@ -135,7 +135,7 @@ def test_a_strong_product_is_promoted_and_the_posterior_is_exact(found, lever) -
     assert len(found.layout.promoted) == 1
     (name,) = found.layout.promoted
     assert name in ("scale.constant", "offset.constant")
-    assert f"{name} is sampled with the hyper-parameters: its product" in found.verdict.notes[0]
+    assert f"{name} is sampled, not linearised" in found.verdict.notes[0]
     assert found.verdict.sampler == "importance sampling"
     assert pareto_k(found) < 0.5
     assert_exact(found, exact_moments(lever), effective(found) / 2)

@@ -61,9 +61,9 @@ def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "
 
 STATISTIC_HEADERS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
 STATISTIC_HEADERS |= {"typical sd": "standard uncertainty (median)"}
-EFFECT_HEADERS = {"devices": "devices found in", "possible": "devices possibly found in"}
-EFFECT_HEADERS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
-EFFECT_HEADERS |= {"share": "expected share", "low": "if any, share from", "high": "to (95 %)"}
+EFFECT_HEADERS = {"devices": "found by own search", "possible": "one of several by own search"}
+EFFECT_HEADERS |= {"in fleet": "P(any has it)", "expected": "devices expected"}
+EFFECT_HEADERS |= {"share": "expected share", "low": "share if any: 2.5 %", "high": "97.5 %"}
 
 
 def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:

@@ -15,9 +15,10 @@ OUTPUTS = ("output_x", "output_y", "output_z")
 CORRECTION_FILES = ("correction.h", "correction.py", "correction.json")
 UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
-CAPTION = "Three axes: outputs = offset + matrix · input, powers of T − T0; with model inadequacy, effects of the test"
+CAPTION = "Three axes, with model inadequacy and effects of the test; without higher orders closer to zero than u/2"
 FIT_CAPTION = "COEFFICIENTS (uncertainties of the fit alone)"
-USE_CAPTION = "CORRECTION FOR USE (uncertainties with model inadequacy, f = {:.2f}, and effects of the test, see notes)"
+USE_CAPTION = """CORRECTION FOR USE (uncertainties with model inadequacy, f = {:.2f}, and effects of the test; without
+higher orders closer to zero than u/2, which are in correction.json)"""
 
 
 class Triad(NamedTuple):

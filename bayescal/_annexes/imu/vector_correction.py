@@ -195,7 +195,7 @@ class VectorCorrection:
         rows = [("xyz"[i], *map(ws.number, (u[i], 2 * u[i], 2 * total_u[i]))) for i in range(3)]
         columns = (ws.TableColumn(title, lambda row, i=i: row[i]) for i, title in enumerate(titles))
         unit = ws.unit_label(self.unit)
-        caption = f"Compensated vector of {ws.number(self.max_input)} {unit} along any axis, {t:g} °C; noise: a reading"
+        caption = f"Compensated vector of {ws.number(self.max_input)} {unit}, any axis, {t:g} °C; noise: of one reading"
         return caption, ws.ResultTable(tuple(columns), rows)
 
     @property
@@ -318,7 +318,8 @@ class TermRow(NamedTuple):
 
 
 def tabulate_terms(rows: Sequence[TermRow]) -> ws.ResultTable:
-    """Tabulate the terms of a correction with their standard uncertainties."""
+    """Tabulate the terms of a correction, without those of higher order that are within half their u of zero."""
+    rows = [r for r in rows if " order of " not in r.name or abs(r.value) > 0.5 * r.uncertainty]
     columns = (
         ws.TableColumn("outputs = offset + matrix · inputs + higher orders", lambda r: r.name),
         ws.TableColumn("value ± standard uncertainty", lambda r: ws.format_value(*r[1:3])),

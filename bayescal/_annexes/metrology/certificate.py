@@ -7,8 +7,7 @@ The DCC is XML of schema 3.2.1, with numbers and units in D-SI. Its units are co
 converted to m/s². Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
 https://www.ptb.de/si (SI_Format.xsd 2.1.0); S. Hackel et al., The Digital Calibration Certificate,
 PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403; D. Hutzschenreuter et al., SmartCom Digital System of Units
-(D-SI) Guide, doi 10.5281/zenodo.3522631.
-The DCC is not signed; sealing it is left to the laboratory.
+(D-SI) Guide, doi 10.5281/zenodo.3522631. The DCC is not signed; sealing it is left to the laboratory.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def _find_obstacle(quantity: LimitedQuantity, calibration: bc.Calibration, thres
     if not quantity.operating_point:
         return f"{name} is a constant of the model, which does not change in time"
     if "time" not in quantity.dependencies:
-        return f"no interval can be derived: no term of the model makes {name} change with time"
+        return f"no interval can be derived: no term of {name} changes with time"
     # A placeholder curve in time is defined within the record only.
     probabilities = calibration.inclusion
     for effect in calibration.model.effects:
@@ -283,8 +283,8 @@ def _format_acceptance(d: Decision) -> str:
     if d.accepted is None:
         return "none"
     low, high = (ws.number(end, 6) for end in d.accepted)
-    if d.accepted != d.tolerance:  # rounded inward, to a hundredth of the uncertainty or less
-        places = max(0, 2 - math.floor(math.log10(d.worst_uncertainty or 1.0)))
+    if d.accepted != d.tolerance:  # rounded inward, to a tenth of the uncertainty or less
+        places = max(0, 1 - math.floor(math.log10(d.worst_uncertainty or 1.0)))
         ends = np.ceil(d.accepted.low * 10**places), np.floor(d.accepted.high * 10**places)
         low, high = (f"{end / 10**places:.{places}f}" for end in ends)
     is_upper, is_lower = map(math.isinf, d.accepted)
@@ -304,8 +304,10 @@ def format_statement(d: Decision) -> list[str]:
         lines.append(f"  at {_format_point(d.at)}{scatter_note * (d.scatter > 0)}{worst_point}")
     bands = [w for w in d.guard_bands or () if math.isfinite(w) and u > 0]
     if bands and d.accepted != d.tolerance:
-        texts = [*dict.fromkeys(f"{w:#.3g} {unit} = {w / u:.2f}·u" for w in bands)]
-        texts[-1] += f"; u = {u:#.3g} {unit}" + " there" * bool(worst_point)
+        n = max(0, 1 - math.floor(math.log10(u)))  # decimals; rounded up
+        numbers = (f"{math.ceil(w * 10**n) / 10**n:.{n}f} {unit} = {w / u:.2f}·u" for w in bands)
+        texts = [*dict.fromkeys(numbers)]
+        texts[-1] += f", rounded up; u = {u:#.3g} {unit}" + " there" * bool(worst_point)
         head = "  guard bands (lower, upper)" if len(texts) > 1 else "  guard band"
         lines.append(f"{head} w = {' and '.join(texts)}")
     if (g := d.global_risks) is not None:
@@ -369,8 +371,7 @@ def decide(
         limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `parse_limit`).
         rule: "guarded" or "simple".
         false_accept: maximum probability of false acceptance, and of false rejection, for "guarded".
-        population: population of devices of this kind, for global risks of limits in its unit: "sd 0.2 °/s", "mean 0.1
-            sd 0.2 °/s".
+        population: devices of this kind, for global risks of limits in its unit: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s".
         min_conformity: probability of conformity below which recalibration is due.
         members: the member of a group in use, such as {"device": "A17"}; members of other groups are new.
         local_gravity: m/s², for limits in m/s² on accelerations in g.
@@ -382,8 +383,8 @@ def decide(
     if rule not in RULES:
         raise bc.InputError(f"rule {rule!r} is unknown: choose {', '.join(RULES)}")
     if not 0 < false_accept < 0.5:
-        text = f"false_accept = {false_accept:g}"
-        raise bc.InputError(f"{text}: expected a probability above 0 and below 0.5, such as 0.025")
+        text = f"{false_accept:g} (--false-accept, false_accept=)"
+        raise bc.InputError(f"{text}: expected a probability above 0, below 0.5, such as 0.025")
     if not 0.5 <= min_conformity < 1:
         text = f"min_conformity = {min_conformity:g}"
         raise bc.InputError(f"{text}: expected a probability from 0.5 and below 1, such as 0.95")
@@ -487,16 +488,16 @@ def _decide_limit(
     p_text, q_text = (format_percent(q, error) + count for q in (p, 1 - p))
     if rule == "guarded":
         if p >= 1 - false_accept:
-            return ACCEPT, f"specific risk of false acceptance {q_text}"
+            return ACCEPT, f"specific consumer's risk {q_text}"
         if p <= false_accept:
-            return REJECT, f"specific risk of false rejection {p_text}"
+            return REJECT, f"specific producer's risk {p_text}"
         return UNDECIDED, (
             f"probability of conformity {p_text}: acceptance needs {100 * (1 - false_accept):g} %, rejection "
             f"{100 * false_accept:g} %"
         )
     low, high = draws.estimate
     if limits.low <= low and high <= limits.high:
-        position, decision, risk = "inside", ACCEPT, f"acceptance {q_text}"
+        position, decision, risk = "inside", ACCEPT, f"consumer's risk {q_text}"
     else:
-        position, decision, risk = "outside", REJECT, f"rejection {p_text}"
-    return decision, f"the estimate is {position} the limits; specific risk of false {risk}"
+        position, decision, risk = "outside", REJECT, f"producer's risk {p_text}"
+    return decision, f"the estimate is {position} the limits; specific {risk}"
