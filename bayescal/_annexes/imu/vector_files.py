@@ -40,18 +40,20 @@ def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty:
     ).render(named=corrections, data=data, uncertainty=with_uncertainty, newton=NEWTON_STEPS)
 
 
-CORRECTION_KINDS = ws.CorrectionKind(
-    correction_class=VectorCorrection,
-    axes="three axes",
-    writers={
-        "json": ws.render_json,
-        "c": render_headers,
-        "python": render_module,
-        **{n: ws.wrap_writer(format_parameter_file, n) for n in AUTOPILOTS},
-    },
-    suffixes={".json": "json", ".h": "c", ".py": "python"},
-    shared_formats=("c", "python"),
-    describe_omissions=describe_omissions,
+CORRECTION_KINDS = (
+    ws.CorrectionKind(
+        correction_class=VectorCorrection,
+        axes="three axes",
+        writers={
+            "json": ws.render_json,
+            "c": render_headers,
+            "python": render_module,
+            **{n: ws.wrap_writer(format_parameter_file, n) for n in AUTOPILOTS},
+        },
+        suffixes={".json": "json", ".h": "c", ".py": "python"},
+        shared_formats=("c", "python"),
+        describe_omissions=describe_omissions,
+    ),
 )
 
 
