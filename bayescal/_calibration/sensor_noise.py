@@ -768,12 +768,12 @@ def _summarise_figures(
     walks = pooled_draws("noise.walk")
     # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
     bound = np.concatenate([noise.walk for noise in sums.noises])
-    no_flicker = "no flicker resolved; " * (pooled_draws("noise.flicker") is None)
+    no_flicker = "; no flicker resolved" * (pooled_draws("noise.flicker") is None)
     rows = [
         ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, density_unit, f"{base}/Hz^0.5", white_density),
         ("B", f"{bias} (flicker)", bias_unit, base, pooled_draws("noise.flicker")),
-        ("", f"{bias} ({no_flicker}lowest Allan deviation / 0.664)", bias_unit, base, floor),
+        ("", f"{bias} (Allan minimum / 0.664{no_flicker})", bias_unit, base, floor),
         ("K", walk, walk_unit, f"{base}/s^0.5", bound if walks is None else walks),
         ("", "tone, rms", bias_unit, base, pooled_draws("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),

@@ -186,10 +186,10 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
     texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
     first, s = path.steps[0].discovery, settings()
-    given = "with what is missing from step 0 " * bool(first and first.findings)
+    given = "contain what is missing from step 0 and " * bool(first and first.findings)
     head = f"coefficients, corrections and budgets are averaged over {len(path.shares)} structures"
-    share = f"of probability {s.averaged_probability:g} or more in the {100 * s.found_probability:g} % credible set"
-    note = f"these are all {given}{share}; their probabilities are scaled to a sum of 1"
+    note = f"those of the {100 * s.found_probability:g} % credible set that {given}have a probability of at least "
+    note += f"{s.averaged_probability:g}; scaled to a sum of 1"
     return wrap(f"{head}: {texts} ({note}); --structure best uses the first alone")
 
 

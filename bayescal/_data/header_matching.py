@@ -563,7 +563,7 @@ class MatchedFile:
             needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
             absent = [n for n in needs_none if n not in self.positions]
             advice = " or ".join(option("--columns", f"{n}=NAME") for n in absent)
-            advice = f"; for one that is {' or '.join(absent)}: {advice}" * bool(absent)
+            advice = f"; to use one as {' or '.join(absent)}: {advice}" * bool(absent)
             message = (
                 f"{file}: columns ignored because they have no unit: {', '.join(without_unit)} (to keep one, write its "
                 f"unit in the header, 'name [unit]', or {option('--unit', 'NAME=UNIT')}{advice})"

@@ -195,4 +195,4 @@ def _fit_simulated(
     if not fitted.verdict.ok:
         check.notes.append(f"{', '.join(sorted(names))}: {' '.join(fitted.verdict.reasons)}")
     if is_baseline:
-        check.notes += [f"baseline: {direction}" for direction in null_directions(fitted)]
+        check.notes += [f"baseline, not measured: {claim}" for claim in null_directions(fitted)]
