@@ -173,6 +173,7 @@ def compute_body_temperature(calibration: Calibration, column: str) -> np.ndarra
 MAX_CANDIDATES = 12  # bars of a plot, to be readable
 LEGEND_INCHES = 0.45  # from an axis to its legend, below tick labels and axis label
 TEXT_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}  # hides lines behind text
+KINDS = {"one of several": "one of these is missing", "not visible": "not detectable"}
 COLOURS = {"finding": RED, "one of several": PURPLE, "lead": ORANGE, "not visible": PALE}
 
 
@@ -241,10 +242,9 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
         found: a discovery, or one entry of `missing` in result.json.
         ax: axes to draw in; a new figure if None.
     """
-    is_discovery = isinstance(found, Discovery)
+    is_discovery, found_kinds = isinstance(found, Discovery), ("finding", "one of several")
     candidates = [vars(c) for c in found.candidates] if is_discovery else found["candidates"]
     tested = [c for c in candidates if c["log_bayes_factor"] is not None and not is_quiet(c)]
-    found_kinds = ("finding", "one of several")
     tested.sort(key=lambda c: (c["kind"] in found_kinds, c["log_bayes_factor"]))
     bars = tested[-MAX_CANDIDATES:]
     ax = open_axes(ax, 5.6, 0.3 * len(bars) + 1.3)
@@ -260,9 +260,9 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.axvline(0, color=GREY, lw=0.8)
     ax.set_xlabel("log Bayes factor of the effect [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
-    has_findings = not {*kinds}.isdisjoint(found_kinds)
-    other_label = "not needed with the findings" if has_findings else "improbable"
-    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or other_label)) for k in kinds]
+    other_label = "not needed with the findings" if {*kinds} & {*found_kinds} else "improbable"
+    labels = KINDS | {None: other_label}
+    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(labels.get(k, k))) for k in kinds]
     if names:
         _place_legend_below(ax, names, len(names))
     return ax.figure
