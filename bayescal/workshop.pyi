@@ -135,7 +135,7 @@ from ._inference.problem import Problem as Problem
 from ._inference.record import Record as Record
 
 # a model on readings: its frame, its unknowns, the problem, and how a posterior is drawn
-from ._model.effect import with_forms as with_forms
+from ._model.effect import list_forms as list_forms
 from ._model.formula import Formula as Formula
 from ._model.frame import build_frame as build_frame
 from ._model.frame import reference_of as reference_of

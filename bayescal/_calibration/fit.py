@@ -26,10 +26,10 @@ from bayescal._inference.record import AFFINE_TOLERANCE, Record, record_of
 from bayescal._model.effect import READING, Effect
 from bayescal._model.frame import (
     Reference,
-    constant_names,
-    origins_of,
-    reference_name,
+    list_constant_names,
+    name_reference,
     reference_of,
+    select_origins,
 )
 from bayescal._model.instrument import Instrument, compute_factor
 from bayescal._model.model import Model
@@ -81,7 +81,7 @@ def fit(
     model.require(readings)
     model = model.with_nuisances(readings)
     _refuse_constant_output(readings)
-    requested, constants = reference or {}, constant_names(readings)
+    requested, constants = reference or {}, list_constant_names(readings)
     if unknown := sorted({n for n, v in requested.items() if not isinstance(v, dict)} - constants):
         raise InputError(
             f"reference: no basis has a constant {', '.join(unknown)}; for these readings there are: "
@@ -132,12 +132,12 @@ def _with_origin(model: Model, readings: Measurements, reference: Reference) -> 
 
     An axis' origin is a multiple of a power of two above its outputs' last digit, so that its subtraction is exact.
     """
-    stored_origins = origins_of(reference)
+    stored_origins = select_origins(reference)
     without_origins = {name: v for name, v in reference.items() if name not in stored_origins}
     far = {n: _find_nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
         return without_origins
-    origins = {n: [*stored_origins.get(reference_name(n), {}).items()] for n in far}
+    origins = {n: [*stored_origins.get(name_reference(n), {}).items()] for n in far}
     names = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
     if all(len(o) == 1 and o[0][0] in names and o[0][1] == far[n] for n, o in origins.items()):
         return dict(reference)  # these readings' origins already, from a smaller model
@@ -145,7 +145,7 @@ def _with_origin(model: Model, readings: Measurements, reference: Reference) -> 
     constants = [_find_constant_coefficient(model, record, i) for i in range(len(far))]
     if None in constants:
         return without_origins
-    origins = {reference_name(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
+    origins = {name_reference(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
     return {**without_origins, **origins}  # pyright: ignore[reportReturnType]
 
 

@@ -30,7 +30,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.trust import MIN_CHAIN_ESS
 from bayescal._model.effect import Effect
-from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
+from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, name_reference
 from bayescal._model.model import Model
 from bayescal._model.parameters import CoefficientBlock, Layout, Unknowns
 from bayescal._model.terms import Term
@@ -177,7 +177,7 @@ class Fitted:
         """Return reference value and unit of each column that an effect depends on, by name (T0, V0 …)."""
         constants: dict[str, tuple[float, str]] = {}
         for column in self.readings.columns:
-            name, unit = reference_name(column), self.readings.unit(column)
+            name, unit = name_reference(column), self.readings.unit(column)
             if unit is None or column not in self.model.columns:
                 continue
             low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))

@@ -16,7 +16,7 @@ from bayescal._core.formatting import format_interval, format_value, number, pro
 from bayescal._core.result_table import ResultTable, make_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model.frame import hold_flag_name, list_covariates
+from bayescal._model.frame import list_covariates, name_hold_flag
 from bayescal._model.parameters import Unknowns
 
 WEAK_INFORMATION = limit("direction.none", "information")
@@ -58,8 +58,8 @@ def list_unknowns(
         lines.append(f"noise.white: standard deviation of one reading{addition}")
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})
-    if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
-        option = f"(--reference {hold_flag_name(stepped[0])}=0 interpolates linearly instead)"
+    if stepped := [n for n in columns if calibration.reference.get(name_hold_flag(n))]:
+        option = f"(--reference {name_hold_flag(stepped[0])}=0 interpolates linearly instead)"
         lines.append(f"constant between readings (set in steps): {', '.join(stepped)} {option}")
     names = calibration.model.names if effects is None else effects
     pairs = ((n, p) for n, p in calibration.inclusion.items() if n in names and p < 1)

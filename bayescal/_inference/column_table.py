@@ -90,13 +90,13 @@ class ColumnTable:
         for a, i in enumerate(numbers):
             earlier_numbers, block = numbers[: a + 1], blocks[i]
             # One product with all missing blocks is several times faster than one product each.
-            if uncached := [j for j in earlier_numbers if j not in block.products]:
-                runs = zip(*(blocks[j].columns for j in uncached), strict=True)
+            if missing_numbers := [j for j in earlier_numbers if j not in block.products]:
+                runs = zip(*(blocks[j].columns for j in missing_numbers), strict=True)
                 products = nodes.products(
                     block.columns, [np.concatenate(run, axis=1) for run in runs]
                 )
-                ends = np.cumsum([self.width(j) for j in uncached])[:-1]
-                for j, part in zip(uncached, np.split(products, ends, axis=2), strict=True):
+                ends = np.cumsum([self.width(j) for j in missing_numbers])[:-1]
+                for j, part in zip(missing_numbers, np.split(products, ends, axis=2), strict=True):
                     block.products[j] = np.ascontiguousarray(part)
                     blocks[j].products[i] = block.products[j].transpose(0, 2, 1)
                     self._bytes += part.nbytes

@@ -155,7 +155,7 @@ class Density(NumericDensity):
         batches = list[list[int]]()
         for members in sorted(rows_by_noise.values(), key=len):
             batches += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
-        hypers, grams = self.problem.hyper_of_each(vs), dict[int, Gram]()
+        hyper_values, grams = self.problem.hyper_of_each(vs), dict[int, Gram]()
         lines = self._linearise_many(vs[[i for batch in batches for i in batch]])
         line, first_table = None, np.empty(0)
         for batch in batches:
@@ -169,7 +169,7 @@ class Density(NumericDensity):
                     column_sets[-1][j] = len(columns)
                     columns.append(table[:, j])
             table = first_table if len(batch) == 1 else np.column_stack(columns)
-            products, logdet = self._get_whitening(line, hypers[batch[0]]).gram(table)
+            products, logdet = self._get_whitening(line, hyper_values[batch[0]]).gram(table)
             for i, members in zip(batch, column_sets, strict=True):
                 grams[i] = Gram.split(products[np.ix_(members, members)], logdet)
         return [grams[i] for i in range(len(vs))]
@@ -230,10 +230,10 @@ class Density(NumericDensity):
                 step = solve_tri(chol, solve_tri(chol, gradient[retry]), upper=True)
                 trial = evaluate(rows, shift[rows] + sd[retry] * step)
                 is_better = trial[0] <= value[rows]
-                accepted = rows[is_better]
-                shift[accepted] += (sd[retry] * step)[is_better]
+                accepted_rows = rows[is_better]
+                shift[accepted_rows] += (sd[retry] * step)[is_better]
                 for current, trial_values in zip((value, *likelihood_terms), trial, strict=True):
-                    current[accepted] = trial_values[is_better]
+                    current[accepted_rows] = trial_values[is_better]
                 retry = retry[~is_better]
                 if not len(retry):
                     break

@@ -218,9 +218,9 @@ class Expansions:
         # Duplicates removed: the factors of `ListedColumns` would count a coordinate twice.
         points, inverse = np.unique(v[missing], axis=0, return_inverse=True)
         for start in range(0, len(points), LIST_SIZE):
-            group = points[start : start + LIST_SIZE]
+            batch = points[start : start + LIST_SIZE]
             index[missing[(inverse >= start) & (inverse < start + LIST_SIZE)]] = len(expansions)
-            expansions.append(ListedColumns(np.moveaxis(self._columns(group), 0, 2), group))
+            expansions.append(ListedColumns(np.moveaxis(self._columns(batch), 0, 2), batch))
         return expansions, index
 
     def fit_polynomials(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:

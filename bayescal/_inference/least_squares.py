@@ -258,11 +258,11 @@ class _Refinement:
             # The prior as pseudo-observations: for the step of z = (θ − m)/s, [A·S; W]·step = [r; −z].
             z = prior.weight * (point - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             rows = np.column_stack([weight, -z])
-            stacked = np.concatenate([table * np.append(prior.sd, 1.0), rows])
-            if not np.all(np.isfinite(stacked)):
-                return math.inf, qr(np.zeros_like(stacked))
+            system = np.concatenate([table * np.append(prior.sd, 1.0), rows])
+            if not np.all(np.isfinite(system)):
+                return math.inf, qr(np.zeros_like(system))
             offset_squares = whitening.excess if isinstance(whitening, SdWhitening) else 0.0
-            return float(stacked[:, -1] @ stacked[:, -1]) + offset_squares, qr(stacked)
+            return float(system[:, -1] @ system[:, -1]) + offset_squares, qr(system)
 
         cost, factor = evaluate(theta)
         damping, best_offset = 0.0, float(np.linalg.norm(factor.projection))

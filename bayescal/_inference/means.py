@@ -66,8 +66,8 @@ class Means:
         """Return the fraction of each column's variance that is within blocks (k,)."""
         deviations = rows - rows.mean(axis=0)
         total = np.sum(deviations**2, axis=0)
-        between = self.counts @ self(deviations) ** 2
-        return np.where(total > 0, 1 - between / np.where(total > 0, total, 1.0), 0.0)
+        between_sum = self.counts @ self(deviations) ** 2
+        return np.where(total > 0, 1 - between_sum / np.where(total > 0, total, 1.0), 0.0)
 
     def linear_model(self, line: LinearModel) -> LinearModel:
         """Return the linear model of block means, from a model of all readings linearised about its mode."""

@@ -68,10 +68,10 @@ class Verdict:
         return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
     def __str__(self) -> str:
-        head, ending = (
+        status, ending = (
             ("converged", ".") if self.ok else ("NOT converged", ": " + " ".join(self.reasons))
         )
-        return " ".join([f"{head} ({self.sampler}){ending}", *self.notes])
+        return " ".join([f"{status} ({self.sampler}){ending}", *self.notes])
 
 
 @dataclass(frozen=True)

@@ -258,9 +258,9 @@ def _update_bfgs(
     floor: Float[np.ndarray, "d"],
 ) -> Float[np.ndarray, "d d"]:
     """Update a curvature to v: rescale it to the new diagonal, then apply a BFGS update."""
-    previous, current = np.diag(curvature), np.diag(model.curvature)
-    is_positive = (current > floor) & (previous > 0)
-    ratio = np.sqrt(np.where(is_positive, current, 1.0) / np.where(is_positive, previous, 1.0))
+    old_diagonal, new_diag = np.diag(curvature), np.diag(model.curvature)
+    is_positive = (new_diag > floor) & (old_diagonal > 0)
+    ratio = np.sqrt(np.where(is_positive, new_diag, 1.0) / np.where(is_positive, old_diagonal, 1.0))
     curvature = ratio[:, None] * curvature * ratio
     if last is None:
         return curvature

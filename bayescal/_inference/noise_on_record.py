@@ -57,13 +57,13 @@ class Whitening(NamedTuple):
         width = MIN_TABLE_COLUMNS
         while width < m:
             width *= 2
-        padded = np.zeros((record.padded_size, width))
-        padded[:n, :m] = _sort_by_time(law, record, table, 0)
+        padded_table = np.zeros((record.padded_size, width))
+        padded_table[:n, :m] = _sort_by_time(law, record, table, 0)
         extra = np.asarray(self.extra, float)
         if extra.ndim:
             extra = record.pad(_sort_by_time(law, record, extra, 0))
         values = {name: np.float64(self.values[name]) for name in law.parameters()}
-        results = _run_whitening(*record.prepare_for_law(law), padded, extra, values)
+        results = _run_whitening(*record.prepare_for_law(law), padded_table, extra, values)
         whitened, log_sd = map(np.asarray, results)
         return whitened[:n, :m], 2.0 * float(np.sum(log_sd[:n]))
 
@@ -122,9 +122,9 @@ def _unsort_rows(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) 
     """Restore the order of the readings in an array sorted by time; inverse of `_sort_by_time`."""
     if law.independent or record.is_time_ordered:
         return array
-    restored = np.empty_like(array)
-    restored[record.time_order[0]] = array
-    return restored
+    original_rows = np.empty_like(array)
+    original_rows[record.time_order[0]] = array
+    return original_rows
 
 
 @compile_on_call

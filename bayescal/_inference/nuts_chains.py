@@ -86,29 +86,29 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
         state = kernel.sample(state, arguments, {})
         return state, (state.z, state.diverging, state.num_steps)
 
-    limit, count = deadline.current(), plan.warmup + plan.draws
-    limit.raise_if_over()
+    time_limit, count = deadline.current(), plan.warmup + plan.draws
+    time_limit.raise_if_over()
     keys = jax.random.split(key, plan.chains)
     state = kernel.init(keys, plan.warmup, starts, model_args=arguments, model_kwargs={})
-    block = jax.jit(
+    run_block = jax.jit(
         lambda state: jax.lax.scan(sample, state, length=BLOCK),
         compiler_options=compiler_options(True),
     )
-    block = block.lower(state).compile()  # excluded from the timing
+    run_block = run_block.lower(state).compile()  # excluded from the timing
     blocks = []
     for iteration in range(0, count, BLOCK):
-        limit.raise_if_over()
+        time_limit.raise_if_over()
         start = time.monotonic()
-        state, samples = jax.block_until_ready(block(state))
+        state, samples = jax.block_until_ready(run_block(state))
         blocks.append(jax.tree.map(np.asarray, samples))
         if iteration == 0:
             # A lower bound, by shallow trees, so that no chain is stopped that would have finished.
             steps = max(1.0, float(np.mean(np.max(np.atleast_2d(blocks[0][2]), axis=-1))))
             elapsed = time.monotonic() - start
             seconds = elapsed / BLOCK * min(1.0, MIN_STEPS / steps) * (count - BLOCK)
-            if time.monotonic() + seconds > limit.ends_at:
+            if time.monotonic() + seconds > time_limit.ends_at:
                 duration = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
-                raise deadline.TimeIsUp(f"{limit.reason}; NUTS would take {duration} or more")
+                raise deadline.TimeIsUp(f"{time_limit.reason}; NUTS would take {duration} or more")
     z, diverging, steps = jax.tree.map(
         lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *blocks
     )

@@ -336,23 +336,23 @@ class Record:
         slopes = {}
         for name, shift in shifts.items():
             h = self._choose_difference_step(name)
-            ends = ({**shifts, name: shift + s} for s in (h, -h))
-            upper, lower = (self.columns_of_draws(effect, values, end) for end in ends)
+            shift_pairs = ({**shifts, name: shift + s} for s in (h, -h))
+            upper, lower = (self.columns_of_draws(effect, values, pair) for pair in shift_pairs)
             slopes[name] = (upper - lower) / (2 * h)
         return self.columns_of_draws(effect, values, shifts), slopes
 
     def _run_batches(self, program, argument: Any, slots: Arrays, shifts: Arrays) -> Any:
         """Run a program over draws in batches, on padded readings; the last batch is padded with its last draw."""
         count = max(len(v) for v in (*slots.values(), *shifts.values()) if np.ndim(v) > 1)
-        sources = {name: slots.get(name, 0.0) for name in self.slots}, shifts
+        arrays_by_kind = {name: slots.get(name, 0.0) for name in self.slots}, shifts
         inputs = [
             {n: np.broadcast_to(v, (count, self.size)) for n, v in arrays.items()}
-            for arrays in sources
+            for arrays in arrays_by_kind
         ]
         # Full and half batches, and a sixth for long records: few batch sizes to compile.
         limit = max(CALL_DRAWS, CALL_ELEMENTS // self.padded_size)
-        parts = (6, 2, 1) if CALL_DRAWS * self.padded_size > 2 * CALL_ELEMENTS else (2, 1)
-        size = next((limit // n for n in parts if count <= limit // n), limit)
+        divisors = (6, 2, 1) if CALL_DRAWS * self.padded_size > 2 * CALL_ELEMENTS else (2, 1)
+        size = next((limit // n for n in divisors if count <= limit // n), limit)
         result = None
         for start in range(0, count, size):
             stop = min(start + size, count)

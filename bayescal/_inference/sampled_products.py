@@ -52,21 +52,21 @@ def promote_products(
             return problem, notes, None
         mode = find_mode(problem, start=start)
         terms = _compute_second_order(problem, mode)
-        strength = {b.name: float(np.sqrt(np.sum(terms[b.x_slice] ** 2))) for b in blocks}
+        strengths = {b.name: float(np.sqrt(np.sum(terms[b.x_slice] ** 2))) for b in blocks}
         # Either factor can be promoted. One with a learned standard deviation would form a funnel with it: last choice.
-        candidates = [b for b in blocks if strength[b.name] >= threshold]
+        candidates = [b for b in blocks if strengths[b.name] >= threshold]
         if not candidates:
             return problem, notes, mode
         preferred_blocks = [b for b in candidates if b.coefficient.group_sd is None]
-        strongest = max(preferred_blocks or candidates, key=lambda b: strength[b.name])
+        strongest = max(preferred_blocks or candidates, key=lambda b: strengths[b.name])
         # Together with the effect's other coefficients in the same slot, if they all fit.
         group = [b for b in blocks if b.effect is strongest.effect and b.slot == strongest.slot]
-        group = [b for b in group if b is strongest or strength[b.name] >= 0.1 * threshold]
+        group = [b for b in group if b is strongest or strengths[b.name] >= 0.1 * threshold]
         selected_blocks = group if sum(b.size for b in group) <= capacity else [strongest]
         layout = layout.promote(*(b.name for b in selected_blocks))
         names = ", ".join(b.name for b in selected_blocks)
         verb = "are" if len(selected_blocks) > 1 else "is"
-        size = f"{strength[strongest.name]:.2g} noise standard deviations"
+        size = f"{strengths[strongest.name]:.2g} noise standard deviations"
         note = f"{names} {verb} sampled, not linearised: the second-order term is {size}."
         notes = (*notes, note)
         problem = Problem(layout, record)

@@ -175,8 +175,8 @@ class BatchedDensity:
             draws.log_marginal[is_outside] = NOWHERE
             if is_computed.any():
                 grams, z_computed = self.density.grams(v[is_computed]), z[is_computed]
-                computed = self.problem.draw_x(grams, v[is_computed], *args, z_computed)
-                for target, source in zip(draws, computed, strict=True):
+                computed_draws = self.problem.draw_x(grams, v[is_computed], *args, z_computed)
+                for target, source in zip(draws, computed_draws, strict=True):
                     target[is_computed] = source
         log_density = draws.log_marginal + log_prior
         is_finite = np.isfinite(log_density) & (draws.log_marginal > NOWHERE)
@@ -444,9 +444,9 @@ def _draw_coefficients(
     log_density, corrections, maximum = np.empty(count), np.full(count, NOWHERE), NOWHERE
     batch_size = max(32, min(density.batch_size, CACHE_ELEMENTS // problem.record.size))
     is_nonlinear = is_exact and not problem.is_affine and not seen_corrections.is_constant
-    first_count = FIRST_BATCH_DRAWS if is_nonlinear and count > FIRST_BATCH_DRAWS else 0
-    parts = np.array_split(np.arange(first_count, count), -(-(count - first_count) // batch_size))
-    for rows in ([np.arange(first_count)] if first_count else []) + parts:
+    first_batch = FIRST_BATCH_DRAWS if is_nonlinear and count > FIRST_BATCH_DRAWS else 0
+    parts = np.array_split(np.arange(first_batch, count), -(-(count - first_batch) // batch_size))
+    for rows in ([np.arange(first_batch)] if first_batch else []) + parts:
         deadline.current().raise_if_over()
         normal = draw_normals(problem.size, len(rows), is_student_t, rng)
         log_density[rows], draws = density.draw_at(v[rows], normal)

@@ -155,17 +155,17 @@ class TabulatedDensity:
         residual = problem.record.y - problem.linearise(x, problem.hyper(v)).mean
         self.table = ColumnTable(residual)
         self.blocks = self._list_blocks(self.table)
-        subtracted = dict.fromkeys(self._static_blocks)
+        subtracted_fits = dict.fromkeys(self._static_blocks)
         for block in self.blocks:
             expansion = block.expansion_at(v, False)
             is_in_x = block.owners < problem.size
             coefficients = np.where(is_in_x, np.append(x, 0.0)[block.owners], -block.multipliers)
-            if (number := self._get_block(block, expansion)) in subtracted:
-                subtracted[number] = coefficients
+            if (number := self._get_block(block, expansion)) in subtracted_fits:
+                subtracted_fits[number] = coefficients
             else:
                 factors = expansion.factors(v[block.shape_indices]).value
                 residual += self._list_columns(block, expansion) @ np.kron(coefficients, factors)
-        self.table.fitted_coefficients = subtracted
+        self.table.fitted_coefficients = subtracted_fits
         return self.table
 
     def _choose_origin(self) -> Float[np.ndarray, "p"]:
@@ -219,9 +219,9 @@ class TabulatedDensity:
         factors, derivatives = rows.factors(v, with_grad)
         grams = rows.products.gram(weights, slice(0, 1 + 2 * q if with_grad else 1))
         gram = rows.select(grams[0])
-        unit = factors[:, None] * rows.indicator  # D for unit prior deviations (R, p + 1)
-        gram_unit = gram @ unit
-        gram_x = Gram.split(unit.T @ gram_unit, weights.log_det[0])
+        unit_d = factors[:, None] * rows.indicator  # D for unit prior deviations (R, p + 1)
+        gram_unit = gram @ unit_d
+        gram_x = Gram.split(unit_d.T @ gram_unit, weights.log_det[0])
         conditional = condition(gram_x, problem.record.size, prior, self.origin)
         if conditional is None:
             return None

@@ -153,12 +153,12 @@ def differentiate_output(
 
 
 def linearise_output(
-    source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
+    source: ColumnSource, terms: Sequence[Term], arguments: ResponseArguments
 ) -> Linearisation:
-    """Return the expected output and its Jacobian with respect to coefficients; `composed`: by `compose` with_grad."""
-    mean, derivatives = differentiate_output(source, terms, composed)
+    """Return the expected output and its Jacobian with respect to coefficients; `arguments`: by `compose` with_grad."""
+    mean, derivatives = differentiate_output(source, terms, arguments)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
-    triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, composed.columns, strict=True)]
+    triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, arguments.columns, strict=True)]
     groups = ([t for t in triples if t[0].place == place] for place in ("x", "input"))
     return Linearisation(mean, *(assemble(source, mean, group) for group in groups))
 

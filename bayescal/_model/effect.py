@@ -245,11 +245,11 @@ class Effect:
             )
 
     def __repr__(self) -> str:
-        head = f"{self.name} [{self.coefficients[0].unit}]"
-        return f"<Effect: {head}: {self.equation}>" if self.equation else f"<Effect: {head}>"
+        label = f"{self.name} [{self.coefficients[0].unit}]"
+        return f"<Effect: {label}: {self.equation}>" if self.equation else f"<Effect: {label}>"
 
     def _repr_html_(self) -> str:
-        return as_html([effects_table([self])])
+        return as_html([tabulate_effects([self])])
 
     @property
     def family_name(self) -> str:
@@ -361,7 +361,7 @@ def _name_type(prior: Any) -> str:
     return prior.__name__ if isinstance(prior, type) else type(prior).__name__
 
 
-def effects_table(effects: Iterable[Effect]) -> ResultTable:
+def tabulate_effects(effects: Iterable[Effect]) -> ResultTable:
     """Tabulate effects: number of coefficients, plausible size of the first, equation."""
     rows = []
     for effect in effects:
@@ -374,7 +374,7 @@ def effects_table(effects: Iterable[Effect]) -> ResultTable:
     )
 
 
-def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
+def list_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
     """Yield each effect, followed by its alternative forms."""
     for effect in effects:
         yield from (effect, *effect.forms)

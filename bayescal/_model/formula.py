@@ -537,15 +537,15 @@ class _EffectParser:
 
     def _format_canonical(self, name: str, coefficients: tuple[Coefficient, ...]) -> str:
         """Format the effect as one line with all sizes and units, which can be parsed without readings."""
-        fields = [f"{name}: {self.text}"]
+        parts = [f"{name}: {self.text}"]
         for n, c in zip(self.coefficients, coefficients, strict=True):
-            fields.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
-        fields += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in self.shapes.items()]
+            parts.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
+        parts += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in self.shapes.items()]
         for n, (c, u) in self.columns.items():
             if n != c or n not in _UNITS:
                 quoted_name = n if n.isidentifier() else f"`{n}`"
-                fields.append(f"{quoted_name} = {c}" + (f" [{u}]" if u else ""))
-        return "; ".join(fields)
+                parts.append(f"{quoted_name} = {c}" + (f" [{u}]" if u else ""))
+        return "; ".join(parts)
 
 
 def _get_function_name(node: ast.Call) -> str:

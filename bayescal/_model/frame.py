@@ -72,7 +72,7 @@ class Frame:
 
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
         """Return a column minus its reference value (T0, or the middle of its range); raise ModelError without one."""
-        constant, low, high = reference_name(name), f"{name}_low", f"{name}_high"
+        constant, low, high = name_reference(name), f"{name}_low", f"{name}_high"
         if constant in self.reference:
             return self.columns[name] - self.reference[constant]
         if low not in self.reference:
@@ -133,7 +133,7 @@ class Frame:
         """Return the lag T̃ − T, °C, of the recorded column without corrections; equation as in `lag`."""
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
-        is_held = xp.asarray(self.reference.get(hold_flag_name(name), 0.0)) > 0
+        is_held = xp.asarray(self.reference.get(name_hold_flag(name), 0.0)) > 0
         step, index = (self.step, None) if is_traced(self.step) else self._distinct_steps
         is_first, no_step = step < 0, step == 0
         h = xp.where(is_first | no_step, 1.0, step / tau)
@@ -173,7 +173,7 @@ class Frame:
             field: {n: values for n, values in getattr(self, field).items() if n in columns}
             for field in ("columns", "rates", "record")
         }
-        prefixes = (*columns, *map(reference_name, columns))
+        prefixes = (*columns, *map(name_reference, columns))
         reference = {n: value for n, value in self.reference.items() if n.startswith(prefixes)}
         return replace(self, **arrays, labels={}, codes={}, reference=reference)
 
@@ -220,11 +220,11 @@ def list_covariates(readings: Measurements, include_all: bool = False) -> dict[s
 
     Columns that are declared not to be causes are omitted unless `include_all`.
     """
-    omitted = {"output", "output_uncertainty", "temperature_point"}
-    omitted |= set() if include_all else readings.no_causes
-    columns = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in omitted}
+    exclusions = {"output", "output_uncertainty", "temperature_point"}
+    exclusions |= set() if include_all else readings.no_causes
+    columns = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in exclusions}
     if readings.has("time"):
-        columns |= {f"{n} rate": rate for n, rate in readings.rates.items() if n not in omitted}
+        columns |= {f"{n} rate": rate for n, rate in readings.rates.items() if n not in exclusions}
         if len(readings.records.names) > 1:
             columns["elapsed"] = readings.records.elapsed()
     return columns
@@ -235,7 +235,7 @@ def strip_rate(covariate: str) -> str:
     return covariate.removesuffix(" rate")
 
 
-def covariate_columns(covariate: str) -> tuple[str, ...]:
+def list_covariate_columns(covariate: str) -> tuple[str, ...]:
     """Return the columns of the readings that a covariate is computed from: a column, "elapsed" or a rate."""
     if covariate == "elapsed":
         return ("time",)
@@ -243,12 +243,12 @@ def covariate_columns(covariate: str) -> tuple[str, ...]:
     return (column,) if column == covariate else (column, "time")
 
 
-def reference_name(column: str) -> str:
+def name_reference(column: str) -> str:
     names = {"temperature": "T0", "lab_temperature": "L0", "supply_voltage": "V0"}
     return names.get(column, f"{column}_0")
 
 
-def hold_flag_name(column: str) -> str:
+def name_hold_flag(column: str) -> str:
     return f"{column}_held"
 
 
@@ -257,7 +257,7 @@ def reference_of(readings: Measurements) -> Reference:
     scalars: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
-            scalars[reference_name(name)] = _round_mean(readings[name])
+            scalars[name_reference(name)] = _round_mean(readings[name])
     for name, values in list_covariates(readings, include_all=True).items():
         scalars[f"{name}_low"], scalars[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
@@ -267,13 +267,13 @@ def reference_of(readings: Measurements) -> Reference:
         for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_STEPPED):
             is_temperature = readings.unit(name) == "degC"  # a temperature varies between readings
             is_held = not is_temperature and readings.records.is_set_in_steps(readings[name])
-            scalars[hold_flag_name(name)] = float(is_held)
+            scalars[name_hold_flag(name)] = float(is_held)
     return scalars
 
 
-def constant_names(readings: Measurements) -> set[str]:
+def list_constant_names(readings: Measurements) -> set[str]:
     """Return the names of all reference constants that basis functions can use on these readings."""
-    names = {reference_name(n) for n in readings.columns if readings.unit(n)}
+    names = {name_reference(n) for n in readings.columns if readings.unit(n)}
     return names | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
 
 
@@ -318,7 +318,7 @@ def build_frame(
     )
 
 
-def origins_of(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def select_origins(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the origins subtracted from outputs, output unit: reference constant → coefficient → origin."""
     return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
@@ -327,8 +327,8 @@ def _subtract_origins(
     columns: Mapping[str, np.ndarray], reference: Reference
 ) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
     """Subtract origins from output columns and their ranges, and from an output computed from three axes."""
-    names = {reference_name(n): n for n in columns}
-    offsets = {names[n]: sum(parts.values()) for n, parts in origins_of(reference).items()}
+    names = {name_reference(n): n for n in columns}
+    offsets = {names[n]: sum(parts.values()) for n, parts in select_origins(reference).items()}
     outputs = {n: columns[n] - origin for n, origin in offsets.items()}
     scalars = {n: v for n, v in reference.items() if not isinstance(v, dict)}
     for name, origin in offsets.items():

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import get_special_functions, xp
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame, reference_name
+from bayescal._model.frame import Frame, name_reference
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
@@ -154,7 +154,7 @@ def _offer_heteroscedastic(scale: Positive, frame: Frame) -> list[Noise]:
     for column in (name.removesuffix("_low") for name in reference if name.endswith("_low")):
         low, high = (float(reference[f"{column}_{end}"]) for end in ("low", "high"))
         is_magnitude = column in frame.columns and column not in ("time", "elapsed")
-        is_magnitude &= reference_name(column) not in reference  # no temperature
+        is_magnitude &= name_reference(column) not in reference  # no temperature
         if high > low:
             laws.append(Heteroscedastic(column, scale))
             if is_magnitude and (low * high <= 0 or max(high / low, low / high) > MIN_SIZE_RATIO):
@@ -201,17 +201,17 @@ class StudentT(Noise):
     def by_residual(self, residuals: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
         dof = parameters[DOF]
         scale, squares = dof * white_variance(parameters, frame), residuals**2
-        total = scale + squares
-        return (dof + 1) * residuals / total, (dof + 1) * (scale - squares) / total**2
+        scale_sum = scale + squares
+        return (dof + 1) * residuals / scale_sum, (dof + 1) * (scale - squares) / scale_sum**2
 
     def normal_scores(self, residuals: Array, parameters: Parameters, frame: Frame) -> Array:
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         dof = parameters[DOF]
         squares = residuals**2 / white_variance(parameters, frame)
-        special = get_special_functions((dof, squares))
-        tail = 0.5 * special.betainc(0.5 * dof, 0.5, dof / (dof + squares))
+        functions = get_special_functions((dof, squares))
+        tail_probability = 0.5 * functions.betainc(0.5 * dof, 0.5, dof / (dof + squares))
         # Φ⁻¹ of the smaller tail probability avoids the cancellation of 1 − p far in the tail.
-        return -xp.sign(residuals) * special.ndtri(xp.maximum(tail, MIN_PROBABILITY))
+        return -xp.sign(residuals) * functions.ndtri(xp.maximum(tail_probability, MIN_PROBABILITY))
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         draws = jax.random.t(key, parameters[DOF], mean.shape)
@@ -260,9 +260,9 @@ class Quantised(Noise):
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = xp.sqrt(white_variance(parameters, frame))
         # Reflected to the lower tail, where the difference of two small probabilities does not cancel.
-        standardised, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
-        log_tail = get_special_functions((standardised, half)).log_ndtr
-        upper, lower = log_tail(standardised + half), log_tail(standardised - half)
+        standardised, half_step = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
+        log_tail = get_special_functions((standardised, half_step)).log_ndtr
+        upper, lower = log_tail(standardised + half_step), log_tail(standardised - half_step)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))); divided by the step it is a density.
         log_probability = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
         return upper + log_probability - math.log(self.step)

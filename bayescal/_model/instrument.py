@@ -22,7 +22,7 @@ from bayescal._core.result_table import as_html, make_table
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, basis_factor, unit_label
-from bayescal._model.effect import READING, Coefficient, Effect, effects_table, with_forms
+from bayescal._model.effect import READING, Coefficient, Effect, list_forms, tabulate_effects
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
@@ -160,7 +160,7 @@ class Instrument:
         ]
         table = make_table(["column", "unit", "meaning"], columns, left=3)
         effects = self.known.values()
-        return as_html([f"{self.name}: {self.title}", table, effects_table(effects)])
+        return as_html([f"{self.name}: {self.title}", table, tabulate_effects(effects)])
 
     def for_readings(self, readings: Measurements) -> Instrument:
         """Tailor the instrument to readings if it has a `tailor`; otherwise return it unchanged."""
@@ -232,7 +232,7 @@ class Instrument:
     @property
     def known(self) -> dict[str, Effect]:
         """Return the instrument's effects by name, each followed by its forms."""
-        return {e.name: e for e in with_forms((*self.effects, *self.candidates, *self.nuisances))}
+        return {e.name: e for e in list_forms((*self.effects, *self.candidates, *self.nuisances))}
 
     def effect(self, name: str, more: Mapping[str, Effect] = MappingProxyType({})) -> Effect:
         """Return an effect of the instrument by canonical name, or the placeholder "unknown(covariate)".
@@ -300,15 +300,15 @@ def compute_factor(instrument: Instrument, effect: Effect, coefficient: Coeffici
     Raises:
         ModelError: the units of coefficient, columns and slot do not agree.
     """
-    declared = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
+    all_units = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
     slot = instrument.slot(coefficient.slot or effect.slot)
     names = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
-    used_units = {name: declared[name] for name in effect.columns if name in declared}
-    unused_units = {unit for name, unit in declared.items() if name not in (*used_units, "output")}
-    units, undeclared = tuple(sorted({*used_units.values()})), not names.issuperset(effect.columns)
+    used_units = {name: all_units[name] for name in effect.columns if name in all_units}
+    unused_units = {unit for name, unit in all_units.items() if name not in (*used_units, "output")}
+    units, has_unknown = tuple(sorted({*used_units.values()})), not names.issuperset(effect.columns)
     other_units = (*(s.unit for s in effect.shapes), *sorted(unused_units))
     try:
-        return basis_factor(coefficient.unit, slot.unit, units, undeclared, other_units)
+        return basis_factor(coefficient.unit, slot.unit, units, has_unknown, other_units)
     except InputError as error:
         columns = ", ".join(f"{name} [{unit}]" for name, unit in used_units.items()) or "none"
         raise ModelError(

@@ -14,7 +14,7 @@ from bayescal._core.result_table import Printed, ResultTable
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY
-from bayescal._model.effect import READING, Coefficient, Effect, effects_table
+from bayescal._model.effect import READING, Coefficient, Effect, tabulate_effects
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS, list_covariates
 from bayescal._model.instrument import Instrument, compute_factor
@@ -51,7 +51,7 @@ class Model(Printed):
     def _list_parts(self) -> list[str | ResultTable]:
         fixed = [f"{name} = {value:g}" for name, value in self.fixed]
         lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
-        table = [effects_table(self.effects)] if self.effects else []
+        table = [tabulate_effects(self.effects)] if self.effects else []
         return [*lines, *table, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
 
     def _format_summary(self) -> str:
@@ -159,12 +159,12 @@ class Model(Printed):
         Raises:
             ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
         """
-        effect, first = self.effect(name), self.effect(name).coefficients[0]
-        if effect.is_placeholder or first.flat or not 0 < size < math.inf:
+        effect, coefficient = self.effect(name), self.effect(name).coefficients[0]
+        if effect.is_placeholder or coefficient.flat or not 0 < size < math.inf:
             reason = "a size must be positive and finite; a placeholder or a flat prior has none"
             raise ModelError(f"the plausible size of {name!r} cannot be set to {size}: {reason}")
         # Rounded, so that a saved size gives the same priors again.
-        ratios = ((c, float(f"{c.size / first.size:.12g}")) for c in effect.coefficients)
+        ratios = ((c, float(f"{c.size / coefficient.size:.12g}")) for c in effect.coefficients)
         new_effect = replace(effect, coefficients=tuple(_resize(c, r * size) for c, r in ratios))
         return replace(self, effects=tuple(new_effect if e is effect else e for e in self.effects))
 

@@ -25,7 +25,7 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.renamed import renamed
 from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame, covariate_columns
+from bayescal._model.frame import Frame, list_covariate_columns
 from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.prior import PRIORS, Positive
 from bayescal._model.static import static
@@ -99,7 +99,7 @@ class Noise(abc.ABC):
     @property
     def needs(self) -> tuple[str, ...]:
         """Return the columns of the readings that the law depends on."""
-        columns = (name for c in self.covariates for name in covariate_columns(c))
+        columns = (name for c in self.covariates for name in list_covariate_columns(c))
         return tuple(dict.fromkeys((*(() if self.independent else ("time",)), *columns)))
 
     @property

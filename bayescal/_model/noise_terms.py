@@ -248,10 +248,10 @@ class SmoothTerm(NoiseTerm):
         # or for small z e⁻ᶻ·(z³/6 + z⁴/24 + …); fg = 2x²·e⁻²ˣ; gg = 1 − e⁻²ˣ·(x² + (1 − x)²).
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
         closed_form = -jnp.expm1(-z) - decay**2 * (z + z**2 / 2)
-        noise = jnp.where(z < SERIES_LIMIT, decay**2 * series, closed_form)
-        cross = decay**2 * z**2 / 2
-        slope = -jnp.expm1(-z) + decay**2 * (z - z**2 / 2)
-        covariance = sd**2 * stack_2x2(noise, cross, cross, slope)
+        value_variance = jnp.where(z < SERIES_LIMIT, decay**2 * series, closed_form)
+        cross_term = decay**2 * z**2 / 2
+        slope_variance = -jnp.expm1(-z) + decay**2 * (z - z**2 / 2)
+        covariance = sd**2 * stack_2x2(value_variance, cross_term, cross_term, slope_variance)
         return Block(transition, covariance, sd**2 * jnp.eye(2))
 
     def spectrum(self, values, step, lam):
@@ -278,10 +278,10 @@ class ToneTerm(ExponentialTerm):
     label: ClassVar[str] = "tone"
 
     def parameters(self):
-        lowest, nyquist = 1 / self.longest, 0.5 / self.shortest
+        min_frequency, nyquist = 1 / self.longest, 0.5 / self.shortest
         return {
             "noise.tone": (self.correlated, "{}"),
-            "noise.tone.frequency": (LogUniform(min(lowest, 0.5 * nyquist), nyquist), "Hz"),
+            "noise.tone.frequency": (LogUniform(min(min_frequency, 0.5 * nyquist), nyquist), "Hz"),
             "noise.tone.time": (LogUniform(self.shortest, self.longest), "s"),
             **dict.fromkeys(SLOPE_NAMES if self.column else (), (Normal(0.0, nyquist), "Hz")),
         }
@@ -359,8 +359,8 @@ def _compute_relative_power(
     power = np.abs(np.fft.rfft(detrended * window, ZERO_PADDING * len(window), axis=1)) ** 2
     background = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
     if not is_varying:
-        ranges = [slice(max(0, k - WINDOW_SIZE), k + WINDOW_SIZE) for k in range(background.size)]
-        background = np.array([np.median(background[part]) for part in ranges])
+        slices = [slice(max(0, k - WINDOW_SIZE), k + WINDOW_SIZE) for k in range(background.size)]
+        background = np.array([np.median(background[window_slice]) for window_slice in slices])
     return power / background
 
 

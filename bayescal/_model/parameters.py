@@ -20,10 +20,10 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import READING, Coefficient, Effect
-from bayescal._model.frame import GROUPS, origins_of
+from bayescal._model.frame import GROUPS, select_origins
 from bayescal._model.instrument import compute_factor
 from bayescal._model.model import Model
-from bayescal._model.prior import Flat, FlatLine, Normal, Positive, standard_deviation
+from bayescal._model.prior import Flat, FlatLine, Normal, Positive, compute_sd
 from bayescal._model.static import static
 
 Place = Literal["x", "input", "phi", "fixed"]  # the vector that holds a coefficient, or none
@@ -33,7 +33,7 @@ Levels = Mapping[str, Sequence[str]]  # group → labels of its members
 NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
 
-def member_name(name: str, member: object) -> str:
+def name_member(name: str, member: object) -> str:
     """Return the name of one member's coefficient."""
     return f"{name}({member})"
 
@@ -88,7 +88,7 @@ class CoefficientBlock:
         if per is None:
             return [self.name]
         members = (levels or {}).get(per, range(self.size))
-        return [member_name(self.name, member) for member in members]
+        return [name_member(self.name, member) for member in members]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Unknown:
     def prior_sd(self) -> float | None:
         """Return the prior standard deviation, `unit`; None if the prior is flat, has no variance, or is estimated."""
         if self.block is None:
-            return standard_deviation(self.prior)
+            return compute_sd(self.prior)
         c = self.block.coefficient
         is_learned = c.group_sd is not None or self.block.effect.weights is not None
         return None if c.flat or is_learned else c.size
@@ -269,10 +269,10 @@ class Unknowns:
         """List the unknowns of a layout; group members are named by their labels in `levels`, otherwise by number."""
         rows = list[Unknown]()
         for b in (b for b in layout.blocks if b.place in ("x", "phi")):
-            names, keys, in_x = b.member_names(levels), b.member_names(), b.place == "x"
+            names, phi_names, in_x = b.member_names(levels), b.member_names(), b.place == "x"
             labels = (levels or {}).get(str(b.coefficient.per), range(b.size))
             for i, name in enumerate(names):
-                index = {"x": b.start + i} if in_x else {"v": layout.index_in_phi[keys[i]]}
+                index = {"x": b.start + i} if in_x else {"v": layout.index_in_phi[phi_names[i]]}
                 fields = name, b.name, b.coefficient.unit, b.effect.name, "coefficient"
                 rows.append(Unknown(*fields, **index, block=b, member=labels[i]))
         rows += [h for h in layout.hypers if h.kind != "promoted"]
@@ -354,7 +354,7 @@ def bind(
     available = {group for group in groups if group in GROUPS or readings.has(group)}
     levels = {group: readings.groups(group)[0] if group in available else () for group in groups}
     counts = {group: len(names) for group, names in levels.items()}
-    origin = {name: o for terms in origins_of(reference).values() for name, o in terms.items()}
+    origin = {name: o for terms in select_origins(reference).values() for name, o in terms.items()}
     layout = Layout(model, tuple(counts.items()), origin=tuple(origin.items()))
     flat_count = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
     if len(readings) <= flat_count:

@@ -188,7 +188,7 @@ class FlatLine:
         return 0.0 * v + math.log(self.scale)
 
 
-def standard_deviation(prior: Any) -> float | None:
+def compute_sd(prior: Any) -> float | None:
     """Return the standard deviation of a prior, in the value's unit; None for half-Cauchy, flat and NumPyro priors."""
     match prior:
         case Normal():

@@ -90,23 +90,23 @@ def kalman_whiten(
 
     def propagate(coefficients, x):
         """Return A·x as at most two elementwise products, which XLA fuses with adjacent operations."""
-        diag, cross = (c[:, None] for c in coefficients)
-        return diag * x + (is_coupled[:, None] * cross * x[partner] if is_coupled.any() else 0.0)
+        diag, off_diag = (c[:, None] for c in coefficients)
+        return diag * x + (is_coupled[:, None] * off_diag * x[partner] if is_coupled.any() else 0.0)
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
-    def advance_covariance(previous, reading):
+    def advance_covariance(covariance, reading):
         transition, noise, reading_variance = reading
-        predicted = propagate(transition, propagate(transition, previous).T) + noise
-        state_covariance = jnp.sum(predicted * h, axis=1)
+        prediction = propagate(transition, propagate(transition, covariance).T) + noise
+        state_covariance = jnp.sum(prediction * h, axis=1)
         variance = jnp.sum(state_covariance * h) + reading_variance
         gain = state_covariance / variance
-        return predicted - gain[:, None] * state_covariance, (variance, gain)
+        return prediction - gain[:, None] * state_covariance, (variance, gain)
 
-    def advance_mean(previous, reading):
+    def advance_mean(state_mean, reading):
         transition, gain, row = reading
-        predicted = propagate(transition, previous)
-        innovation = row - jnp.sum(predicted * h[:, None], axis=0)
-        return predicted + gain[:, None] * innovation, innovation
+        prediction = propagate(transition, state_mean)
+        innovation = row - jnp.sum(prediction * h[:, None], axis=0)
+        return prediction + gain[:, None] * innovation, innovation
 
     initial, rows = jnp.zeros((len(h), len(h))), (coefficients, states.noise, white_variance)
     variance, gain = jax.lax.scan(advance_covariance, initial, rows)[1]

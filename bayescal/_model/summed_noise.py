@@ -137,16 +137,16 @@ class SumOfTerms(Noise, interface=True):
         times = np.concatenate([time, new_time])
         grid, first_index, index = np.unique(times, return_index=True, return_inverse=True)
         index, rows = np.split(index, [len(time)])
-        precision, weighted = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
+        precision, weighted_sums = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
         np.add.at(precision, index, 1 / white_var)  # 0 where there is no reading
-        np.add.at(weighted, index, residuals / white_var[:, None])
+        np.add.at(weighted_sums, index, residuals / white_var[:, None])
         z = None if covariates is None else np.concatenate(covariates)[first_index]
         # Padded to powers of two, so that few programs are compiled: padding is runs of one step without a reading.
         padding = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
         step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), padding, constant_values=-1.0)
         z = None if z is None else np.pad(z, padding)
         values = {name: np.float64(values[name]) for name in self.parameters()}
-        inputs = step, z, np.pad(precision, padding), np.pad(weighted, (padding, (0, 0)))
+        inputs = step, z, np.pad(precision, padding), np.pad(weighted_sums, (padding, (0, 0)))
         mean, variance = _smooth(self.plain, values, *inputs)
         return np.asarray(mean)[rows], np.asarray(variance)[rows]
 

@@ -108,9 +108,9 @@ def build_terms(
         blocks = [b for b in blocks if b.slot in source.slots]
     specs: dict[str, ColumnSpec] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
-        allowed = () if effect.name in correcting_effects else corrections
-        applied = [c for c in allowed if c.column in effect.columns]
-        specs[effect.name] = ColumnSpec.from_effect(effect).with_corrections(applied)
+        candidates = () if effect.name in correcting_effects else corrections
+        selection = [c for c in candidates if c.column in effect.columns]
+        specs[effect.name] = ColumnSpec.from_effect(effect).with_corrections(selection)
     factors = size_factors or {}
 
     def make_term(b: CoefficientBlock) -> Term:

@@ -25,7 +25,7 @@ from bayescal._core.jit import value_partial
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
-from bayescal._model.frame import covariate_columns
+from bayescal._model.frame import list_covariate_columns
 from bayescal._model.prior import Normal
 
 # Along a column (False) and in time (True), where steps and periodic forms occur: number of eigenfunctions, and range
@@ -110,7 +110,7 @@ def unknown(
         name: canonical name; `unknown(covariate)` if not given.
     """
     terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
-    columns = covariate_columns(covariate)
+    columns = list_covariate_columns(covariate)
     return Effect(
         name or f"unknown({covariate})",
         slot,

@@ -75,9 +75,9 @@ class Vector:
         magnitudes = magnitude(frame.columns)
         outputs = self.equation(slots, frame)
         stimulus, inverse = invert_equation(outputs, y)
-        length = _norms(stimulus)
-        radial_slope = _norms(jnp.sum(inverse * (stimulus / length[:, None])[:, :, None], axis=1))
-        residual = magnitudes * compute_radial_residual(length / magnitudes) / radial_slope
+        norm = _norms(stimulus)
+        radial_slope = _norms(jnp.sum(inverse * (stimulus / norm[:, None])[:, :, None], axis=1))
+        residual = magnitudes * compute_radial_residual(norm / magnitudes) / radial_slope
         expected = _norms(y) - residual
         if ACROSS[0] not in frame.columns:
             return expected

@@ -25,7 +25,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import fill_amplitudes, guess_amplitudes
 from bayescal._inference.method import Method
 from bayescal._inference.record import record_of
-from bayescal._model.effect import READING, Effect, with_forms
+from bayescal._model.effect import READING, Effect, list_forms
 from bayescal._model.frame import Reference, list_covariates
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, why_untestable
@@ -259,7 +259,7 @@ def enumerate_structures(
     """
     instrument = model.instrument
     instrument_effects = (*instrument.candidates, *instrument.effects)
-    by_name = {e.name: e for e in with_forms((*instrument_effects, *effects))}
+    by_name = {e.name: e for e in list_forms((*instrument_effects, *effects))}
     by_name |= {e.name: e for e in list_placeholders(model, readings) if e.name not in by_name}
     given_names = {e.name for e in effects}  # effects whose columns are used even if ignored
     slots = {s.name for s in instrument.slots}

@@ -28,7 +28,7 @@ from bayescal._inference.means import Means
 from bayescal._inference.newton import HessianGuess
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.effect import Effect, with_forms
+from bayescal._model.effect import Effect, list_forms
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
@@ -121,7 +121,7 @@ class EvaluatedStructure:
     def sized_model(self) -> Model:
         """Return the model with the most probable prior scales of the instrument's own effects."""
         model = self.model
-        candidates = {e.name for e in with_forms(model.instrument.candidates)}
+        candidates = {e.name for e in list_forms(model.instrument.candidates)}
         for name, factor in (self.problem.size_factors or {}).items():
             first = model.effect(name).coefficients[0]
             if factor != 1.0 and name in candidates and not first.flat:

@@ -31,7 +31,7 @@ from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RATE_WINDOW_S, rate_window
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.frame import Frame, build_frame, hold_flag_name
+from bayescal._model.frame import Frame, build_frame, name_hold_flag
 from bayescal._tables.cells import format_date
 from bayescal._use.expression_graph import Graph, Node
 from bayescal._use.operating_equation import (
@@ -120,7 +120,7 @@ def list_needed_inputs(equation: OperatingEquation) -> list[Input]:
         )
         add_input(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
     for lag in equation.nodes.lags:  # exports compute lags and ∂lag/∂τ from a record
-        is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
+        is_held = bool(calibration.reference.get(name_hold_flag(lag.column), 0.0))
         silence = None if is_held else float(frame.max_gap)
         history = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"temperature of a body with time constant {lag.tau!r} s minus {lag.column}; 0 at the start"
@@ -189,7 +189,7 @@ def _build_record(
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         readings = Measurements({n: np.array(values[n]) for n in units}, units)
-    return build_frame(readings, {hold_flag_name(i.column): float(i.held) for i in needed})
+    return build_frame(readings, {name_hold_flag(i.column): float(i.held) for i in needed})
 
 
 def add_margin(span: tuple[float, float]) -> tuple[float, float]:

@@ -30,7 +30,7 @@ from bayescal._model.composition import TracedColumns, compose
 from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument, Use, compute_factor
-from bayescal._model.parameters import CoefficientBlock, Layout, Unknown, member_name
+from bayescal._model.parameters import CoefficientBlock, Layout, Unknown, name_member
 from bayescal._model.terms import build_terms
 from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
 
@@ -181,7 +181,7 @@ class OperatingEquation:
             names = map(b.effect.shape_name, b.effect.shapes)
             unknowns |= {n: hypers[n] for n in names if n in hypers and n not in unknowns}
             per, effect = b.coefficient.per, b.effect.name
-            name = b.name if per is None else member_name(b.name, members.get(per, f"new {per}"))
+            name = b.name if per is None else name_member(b.name, members.get(per, f"new {per}"))
             if b.place != "fixed":
                 row = Unknown(name, b.name, b.coefficient.unit, effect, "coefficient", block=b)
                 unknowns[b.name] = replace(row, member=members.get(per))

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from bayescal._model.effect import Coefficient, Effect, Kind
-from bayescal._model.frame import Frame, reference_name
+from bayescal._model.frame import Frame, name_reference
 from bayescal._model.prior import Normal
 
 
@@ -32,7 +32,7 @@ def _make_factory(kind: Kind, order: int, description: str) -> PowerFactory:
     divisor = "degC" if order == 1 else f"degC^{order}"
 
     def make_effect(slot, size, unit, *, source, column="temperature", name=None):
-        variable = "T − T0" if column == "temperature" else f"{column} − {reference_name(column)}"
+        variable = "T − T0" if column == "temperature" else f"{column} − {name_reference(column)}"
         return Effect(
             f"{slot}.{name or column}{suffix}",
             slot,

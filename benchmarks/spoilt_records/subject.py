@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._model.frame import reference_name
+from bayescal._model.frame import name_reference
 from benchmarks.hidden_effects.bank import instrument_named
 
 Columns = dict[str, np.ndarray]  # a file: each column's cells, in the order of the rows
@@ -145,7 +145,7 @@ class Subject:
             values |= {n: size * share for n, share in self.exact.get(effect, {}).items()}
         for name, change in changed.items():
             values[name] = values.get(name, 0.0) + change
-        reference = hold_at.get(reference_name(self.thermometer), self.T0)
+        reference = hold_at.get(name_reference(self.thermometer), self.T0)
         for names in self.polynomials:
             values |= _about(reference - self.T0, {n: values.get(n, 0.0) for n in names}, names)
         return values

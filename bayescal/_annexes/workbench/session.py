@@ -261,7 +261,7 @@ class Session:
 
     def _effects_by_name(self) -> dict[str, bc.Effect]:
         """Return user-defined effects, and candidates of the discovery in their most probable form and size."""
-        effects = {e.name: e for e in ws.with_forms(self.effects.values())}
+        effects = {e.name: e for e in ws.list_forms(self.effects.values())}
         if (discovery := self.current.discovery) is None:
             return effects
         library, best = self.current.model.instrument.effect, discovery.best
