@@ -34,8 +34,8 @@ def plumb_line_tilt(days: ArrayLike) -> tuple[Array, Array]:
     sidereal_angle = np.radians(280.46062 + 360.98564737 * days + LONGITUDE_DEG)
     tilt = [np.zeros_like(days), np.zeros_like(days)]
     for gm, (longitude, latitude, distance) in (
-        (GM_MOON, _find_moon(days)),
-        (GM_SUN, _find_sun(days)),
+        (GM_MOON, _locate_moon(days)),
+        (GM_SUN, _locate_sun(days)),
     ):
         x = np.cos(latitude) * np.cos(longitude)
         ecliptic_y = np.cos(latitude) * np.sin(longitude)
@@ -65,7 +65,7 @@ def _compute_monthly_peak() -> tuple[float, float]:
     return float(np.abs(east).max()), float(np.abs(north).max())
 
 
-def _find_moon(days: Array) -> tuple[Array, Array, Array]:
+def _locate_moon(days: Array) -> tuple[Array, Array, Array]:
     """Return ecliptic longitude and latitude, rad, and distance, m, of the Moon."""
     mean_longitude = np.radians(218.316 + 13.17639648 * days)
     mean_anomaly = np.radians(134.963 + 13.06499295 * days)
@@ -85,7 +85,7 @@ def _find_moon(days: Array) -> tuple[Array, Array, Array]:
     return mean_longitude + np.radians(correction), np.radians(5.128 * np.sin(argument)), distance
 
 
-def _find_sun(days: Array) -> tuple[Array, Array, Array]:
+def _locate_sun(days: Array) -> tuple[Array, Array, Array]:
     """Return ecliptic longitude and latitude, rad, and distance, m, of the Sun."""
     anomaly = np.radians(357.529 + 0.98560028 * days)
     longitude = 280.459 + 0.98564736 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly)

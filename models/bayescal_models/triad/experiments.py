@@ -23,7 +23,7 @@ def _plan_columns(count: int, temperatures: tuple[float, ...]) -> dict[str, Any]
     }
 
 
-def poses(magnitude: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
+def plan_poses(magnitude: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
     """Return the columns of a pose in each of `DIRECTIONS` at each temperature, °C, with an input of this magnitude."""
     columns = _plan_columns(len(DIRECTIONS), temperatures) | {"magnitude": magnitude}
     unit_vectors = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1)[:, None]
@@ -46,8 +46,8 @@ def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
 def list_pose_experiments(magnitude: float) -> tuple[tuple[str, Any], ...]:
     """Return (description, function that returns the columns) of experiments in poses; `magnitude`: of the input."""
     return (
-        ("26 directions at 25 °C", partial(poses, magnitude, (25.0,))),
-        ("26 directions at −20, 25 and 70 °C", partial(poses, magnitude, SOAK_DEGC)),
+        ("26 directions at 25 °C", partial(plan_poses, magnitude, (25.0,))),
+        ("26 directions at −20, 25 and 70 °C", partial(plan_poses, magnitude, SOAK_DEGC)),
     )
 
 

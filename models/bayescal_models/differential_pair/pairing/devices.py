@@ -106,7 +106,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     if "environment.temperature" in samples:
         temperature_change = readings["temperature"][records.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * temperature_change
-    departures, departure_rms = _draw_v(samples, records, basis)
+    departures, departure_rms = _collect_departures(samples, records, basis)
     environment = sensitivity[:, :, None] * u + higher + departures
     zeros = np.zeros_like(sensitivity)
     fitted_outputs = bc.predict(calibration, readings, new_groups=False).mean
@@ -128,7 +128,9 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     )
 
 
-def _draw_v(samples: Mapping[str, Array], records: _Records, basis: Array) -> tuple[Array, Array]:
+def _collect_departures(
+    samples: Mapping[str, Array], records: _Records, basis: Array
+) -> tuple[Array, Array]:
     """Return draws of each device's departure v(t), µg, (d, K, T), and of the rms of v over a record, µg, (d,)."""
     if DEPARTURE_SHARE_NAME not in samples:
         zeros = np.zeros(len(samples[SENSITIVITY_NAME]))

@@ -77,7 +77,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
     scale_terms = (devices.sign * scale_deviation)[..., None] * commanded_terms
     env_records = devices.records - devices.known
     pair_fields = {
-        "probability_residual": _find_fraction(residual),
+        "probability_residual": _compute_best_fraction(residual),
         "expected_residual": residual.mean(axis=0),
         "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
@@ -85,7 +85,9 @@ def evaluate_pairs(devices: Devices) -> Scores:
         ("ratio_variance", env_terms, env_records),
         ("ratio_variance_raw", known_terms + scale_terms + env_terms, devices.records),
     ):
-        pair_fields[f"probability_{name}"] = _find_fraction(criteria.ratio_variance(draws, outer))
+        pair_fields[f"probability_{name}"] = _compute_best_fraction(
+            criteria.ratio_variance(draws, outer)
+        )
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
     q025, q16, q84, q975 = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
     has_small_sum = _is_near_zero(devices.environment[:, outer:].mean(axis=-1))
@@ -105,7 +107,7 @@ def _is_near_zero(draws: Array) -> Array:
     return np.abs(draws.mean(axis=0)) < NEAR_ZERO_SDS * draws.std(axis=0)
 
 
-def _find_fraction(values: Array) -> Array:
+def _compute_best_fraction(values: Array) -> Array:
     """Return the fraction of draws in which each pair has the smallest value, (outer, inner)."""
     count, *shape = values.shape
     best_index = np.argmin(values.reshape(count, -1), axis=1)
