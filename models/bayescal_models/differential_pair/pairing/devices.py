@@ -173,9 +173,9 @@ def _arrange_records(readings: bc.Measurements) -> _Records:
     for i, indices in zip(order, rows, strict=True):
         if len(indices) != len(time) or not np.allclose(readings["time"][indices], time, atol=1e-3):
             raise bc.InputError(
-                f"{readings.file}, column 'time': device {names[i]!r} has other reading times than "
-                f"{names[order[0]]!r} ({len(indices)} and {len(time)} readings); devices are compared reading by "
-                "reading: interpolate the records to common times"
+                f"{readings.file}, column 'time': the reading times of devices {names[i]!r} and {names[order[0]]!r} "
+                f"differ ({len(indices)} and {len(time)} readings), but devices are compared reading by reading: "
+                "interpolate the records to common times"
             )
     outer = sum(side == "outer" for side in sides.values())
     return _Records(tuple(names[i] for i in order), outer, time, np.stack(rows), order=order)
