@@ -36,7 +36,7 @@ TIDES = {  # period, h; prior standard deviation of each cosine and sine, nrad
 
 
 def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
-    """Define the NumPyro model: temperature, T0 °C, time s, tilt, angle rad, cell index, cell count; output µg or None."""
+    """Define the NumPyro model: temperature, T0 °C, time s, tilt, angle rad, cell index; cell count; output µg."""
 
     def constant(name: str, mean: float, sd: float) -> Any:
         return numpyro.sample(name, Normal(mean, sd))
