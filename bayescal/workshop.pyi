@@ -183,23 +183,23 @@ from ._tables.raw_table import as_format as as_format
 from ._tables.raw_table import load_whole as load_whole
 from ._tables.raw_table import option as option
 from ._tables.raw_table import unusable as unusable
-from ._use.budget import list_budget_claims as list_budget_claims
 
 # an equation in use
-from ._use.budget import list_inputs as list_inputs
+from ._use.budget import format_inputs as format_inputs
+from ._use.budget import list_budget_claims as list_budget_claims
+from ._use.compensation_program import HISTORY_KINDS as HISTORY_KINDS
 
 # corrections, and the files that they are written to
 from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
-from ._use.compensation_program import PAST as PAST
 from ._use.compensation_program import add_margin as add_margin
 from ._use.compensation_program import list_average_claims as list_average_claims
 from ._use.correction_files import CorrectionKind as CorrectionKind
 from ._use.correction_files import as_text as as_text
-from ._use.correction_files import format_of as format_of
-from ._use.correction_files import include_guard as include_guard
-from ._use.correction_files import names_in_unit as names_in_unit
+from ._use.correction_files import choose_format as choose_format
+from ._use.correction_files import choose_name as choose_name
+from ._use.correction_files import format_guard as format_guard
+from ._use.correction_files import name_sensors as name_sensors
 from ._use.correction_files import render_json as render_json
-from ._use.correction_files import sensor_name as sensor_name
 from ._use.correction_files import wrap_writer as wrap_writer
 from ._use.operating_equation import ALL_DRAWS as ALL_DRAWS
 from ._use.operating_equation import STIMULUS as STIMULUS

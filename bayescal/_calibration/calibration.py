@@ -35,7 +35,7 @@ class Calibration(Printed, Fitted):
     Attributes:
         model: the fitted model.
         readings: the measurements that it was fitted to.
-        joint: equally weighted joint posterior draws; all other results are computed from them on first access.
+        joint: equally weighted joint posterior draws, from which results are computed on first access.
         verdict: convergence diagnosis and failed acceptance checks.
         method: name of the inference method.
         seed: seed of the random-number generator.
@@ -74,7 +74,7 @@ class Calibration(Printed, Fitted):
         return f"{status}, {len(self.readings)} readings of {self.readings.file}, {format_model(self.model)}"
 
     def _list_columns(self) -> dict[str, list[Any]]:
-        """Return one row per unknown, in its unit; `low` and `high` bound the 95 % credible interval."""
+        """Return table columns by name, an entry per unknown, in its unit; `low`, `high`: 95 % credible interval."""
         rows = [row for part in summary(self) for row in part]
         return {
             "unknown": [r["name"] for r in rows],
@@ -97,12 +97,12 @@ class Calibration(Printed, Fitted):
     def correlation(self) -> pd.DataFrame:
         """Return the posterior correlations of all unknowns by name."""
         covariance = self.covariance
-        sds = np.sqrt(np.diag(covariance))
-        return covariance / np.outer(sds, sds)
+        standard_deviations = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(standard_deviations, standard_deviations)
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
-        """Return contradictions of readings and priors, implausible group members, and too few readings."""
+        """Return claims: readings that contradict priors, implausible group members, too few readings."""
         subject = Subject(self)
         return (*conflicts(subject), *group_conflicts(subject), *check_reading_count(subject))
 
@@ -110,7 +110,7 @@ class Calibration(Printed, Fitted):
     def tree(self) -> xr.DataTree:
         """Build the ArviZ DataTree on first access, since replicated readings take time and memory.
 
-        Groups: posterior, prior, posterior_predictive, observed_data, constant_data.
+        Groups: posterior, prior (if proper), posterior_predictive, observed_data, constant_data.
         """
         import xarray as xr
 
@@ -128,48 +128,48 @@ class Calibration(Printed, Fitted):
         }
         groups = {n: _prepare_for_netcdf(g, self.joint.x.shape[1]) for n, g in groups.items()}
         if not self.layout.is_improper:
-            prior = to_xarray(self.unknowns, self.unknowns.values(*_draw_from_prior(self)))
-            groups["prior"] = _prepare_for_netcdf(prior, PRIOR_DRAWS)
+            prior_draws = to_xarray(self.unknowns, self.unknowns.values(*_draw_from_prior(self)))
+            groups["prior"] = _prepare_for_netcdf(prior_draws, PRIOR_DRAWS)
         return xr.DataTree.from_dict(groups)
 
     def with_log_likelihood(self) -> xr.DataTree:
         """Return a copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo`.
 
-        The copy is not cached; its groups have at most two million numbers (draws × readings), by thinning of draws.
+        The copy is not cached. Draws are thinned so that a group has at most two million numbers (draws × readings).
         Under correlated noise the log likelihood is conditional on the earlier readings of the run.
         """
         import xarray as xr
 
         draws_per_chain = self.joint.x.shape[1]
-        density = _prepare_for_netcdf(self.log_likelihood(), draws_per_chain)
+        log_likelihood = _prepare_for_netcdf(self.log_likelihood(), draws_per_chain)
         groups = {name: child.to_dataset() for name, child in self.tree.children.items()}
         for name, group in groups.items():
             if name != "prior" and group.sizes.get("draw") == draws_per_chain:
-                groups[name] = group.isel(draw=density["draw"].values)
-        return xr.DataTree.from_dict({**groups, "log_likelihood": density})
+                groups[name] = group.isel(draw=log_likelihood["draw"].values)
+        return xr.DataTree.from_dict({**groups, "log_likelihood": log_likelihood})
 
     def save(self, path: str | Path) -> Path:
-        """Write draws, mode and readings to NetCDF, atomically. `bc.load` reads them back."""
+        """Write the calibration to NetCDF (*.nc) and return the path; InputError if that fails. `bc.load` reads it."""
         return save(self, Path(path))
 
 
 def _prepare_for_netcdf(group: xr.Dataset, draws_per_chain: int) -> xr.Dataset:
-    """Rename a group's variables for NetCDF and add chain and draw coordinates; thinned draws keep their index."""
+    """Return a group with names valid in NetCDF, and coordinates of chain and draw (indices before thinning)."""
     import pandas as pd
 
     if "draw" in group.sizes:  # ArviZ's plots need the coordinates
-        step = -(-draws_per_chain // group.sizes["draw"])
+        thinning = -(-draws_per_chain // group.sizes["draw"])
         # Indices of pandas: xarray would load Dask to look at arrays.
-        draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
+        draws = pd.RangeIndex(0, thinning * group.sizes["draw"], thinning)
         group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)
     names = {str(n): encode_name(str(n)) for n in (*group.variables, *group.dims)}
     return group.rename({name: new_name for name, new_name in names.items() if name != new_name})
 
 
-def _draw_from_prior(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Draw (x, v) from the prior, as one chain."""
-    random, v = np.random.default_rng([c.seed, 2]), np.zeros((PRIOR_DRAWS, len(c.layout.hypers)))
-    for i, h in enumerate(c.layout.hypers):
-        v[:, i] = draw_prior(h.prior, random, PRIOR_DRAWS)
-    sd = c.problem.prior(c.problem.hyper(v.T), np.ones(c.problem.size), (PRIOR_DRAWS,)).sd
-    return (c.problem.mean_of_x + sd * random.standard_normal(sd.shape))[None], v[None]
+def _draw_from_prior(fit: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Draw coefficients x (1, draws, p) and coordinates v of φ (1, draws, d) from the prior, as one chain."""
+    rng, v = np.random.default_rng([fit.seed, 2]), np.zeros((PRIOR_DRAWS, len(fit.layout.hypers)))
+    for i, h in enumerate(fit.layout.hypers):
+        v[:, i] = draw_prior(h.prior, rng, PRIOR_DRAWS)
+    sd = fit.problem.prior(fit.problem.hyper(v.T), np.ones(fit.problem.size), (PRIOR_DRAWS,)).sd
+    return (fit.problem.mean_of_x + sd * rng.standard_normal(sd.shape))[None], v[None]

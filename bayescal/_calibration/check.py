@@ -52,15 +52,15 @@ class Region:
 @renamed(against="covariate", data="to_json_data")
 @dataclass(frozen=True)
 class Entry:
-    """Log Bayes factor and worst region of a dependence on a covariate, or (`by_group`) a run, cell, axis or device."""
+    """Log Bayes factor of a dependence of the residuals on a covariate or group, and its worst region."""
 
     covariate: str  # name of the covariate or group
     log_bayes_factor: float
     worst: Region  # region with the largest |z|
-    by_group: bool = False
+    by_group: bool = False  # a dependence on a group: run, cell, axis or device
 
     def to_json_data(self, unit: str) -> dict[str, Any]:
-        """Return the entry as in result.json: means in `unit`, that of the output, ranges in the covariate's unit."""
+        """Return the entry's record in result.json; `unit`: output unit, that of the mean residual."""
         entry, worst = dict(vars(self)), dict(vars(self.worst))
         place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
         return {"against": entry.pop("covariate"), **entry, "worst": {**place, **worst}}
@@ -80,16 +80,16 @@ class Check(Printed):
     """Residual checks of a model.
 
     Attributes:
-        entries: log Bayes factors, one per covariate, in descending order.
-        pairs: log Bayes factors of interactions, one per pair of covariates, in descending order.
+        entries: log Bayes factor and worst region of each covariate, in descending order of the factor.
+        pairs: log Bayes factor of the interaction of each tested pair of covariates, in descending order.
         unit: output unit.
         rms: root mean square of the residuals, output unit.
-        noise: standard deviation of the reference noise, output unit.
+        noise: noise standard deviation that the residuals are compared with, output unit.
         autocorrelation: lag-1 autocorrelation within runs in excess of that induced by the fit, and its z.
         scatter_with: p-values of the covariates with which the absolute residuals correlate significantly, by name.
-        outliers: row and leave-one-out residual, in standard deviations, of each outlier.
+        outliers: row number from 0, and leave-one-out residual in standard deviations, of each outlier.
         pit_p: p-value of the test that the leave-one-out probability integral transforms are uniform.
-        excess_kurtosis: of the leave-one-out residuals; above 0, their tails are heavier than normal.
+        excess_kurtosis: excess kurtosis of the leave-one-out residuals; above 0, tails are heavier than normal.
         one_sided: p-value of the sign test on the tenth of the readings with the largest residuals.
         free_noise: noise sd of the same model with its fixed coefficients freed, output unit; None if none is fixed.
         residuals: residual of each reading (n,), output unit.
@@ -111,7 +111,7 @@ class Check(Printed):
 
     @property
     def contradicts_fixed(self) -> bool:
-        """Return whether the rms with fixed coefficients is more than twice the noise with free ones."""
+        """Return whether the rms residual exceeds twice the noise sd of a refit that frees the fixed coefficients."""
         return self.free_noise is not None and self.rms > 2 * self.noise
 
     def _list_parts(self) -> list[str | ResultTable]:
@@ -129,12 +129,12 @@ class Check(Printed):
         return text
 
     def _list_columns(self) -> dict[str, list[Any]]:
-        """Return one row per covariate or group; means in the output's unit, ranges in the covariate's."""
+        """Return columns by name, an entry per covariate; means in the output's unit, ranges in the covariate's."""
         return tabulate_check(self.to_json_data()).to_columns()
 
 
 def tabulate_check(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """Tabulate residuals against each covariate, from the rows of result.json."""
+    """Tabulate log Bayes factor and worst region of each covariate; `rows`: records as in result.json."""
 
     def format_number(number_format: str) -> Callable[[float | None], str]:
         return lambda value: "–" if value is None else f"{value:{number_format}}"
@@ -160,8 +160,8 @@ def tabulate_check(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 def format_check(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
     """Format residual checks, the worst covariate first; `max_rows` also omits the tests of the noise model."""
     unit, rows = unit_label(check.unit), check.to_json_data()[:max_rows]
-    noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"
-    lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
+    noise_text = f"judged against this model's own noise, {check.noise:.3g} {unit}"
+    lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise_text}"]
     if check.free_noise is not None:
         r = check.residuals
         lines += [
@@ -171,25 +171,26 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
             f"the rms is {check.rms / check.noise:.1f} times that",
             "",
         ]
-    strong = settings().strong_evidence
-    lines += [tabulate_check(rows), Z_NOTE.format(strong)] if rows else ["no covariate varies"]
-    if others := [e.covariate for e in check.entries[len(rows) :] if e.log_bayes_factor > strong]:
-        lines.append(wrap(f"also strong: {', '.join(others)}"))
-    max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
+    lines += [tabulate_check(rows), Z_NOTE] if rows else ["no covariate varies"]
+    limit = settings().strong_evidence
+    names = ", ".join(e.covariate for e in check.entries if e.log_bayes_factor > limit) or "none"
+    count_text = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
+    lines.append(wrap(f"log Bayes factor (natural log) above {limit:g}{count_text}: {names}"))
+    max_log_factor = max(limit, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.covariates)} together: not additive (log Bayes factor {p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
-        if p.log_bayes_factor > max_factor
+        if p.log_bayes_factor > max_log_factor
     ]
     if max_rows is None:
-        text = "neighbours in time: correlation {:.2f} (z = {:.1f})"
-        lines.append(text.format(*check.autocorrelation))
-        test = f"p = {check.pit_p:.2g}, leave-one-out probability integral transform"
-        lines.append(f"noise law: {test}; excess kurtosis {check.excess_kurtosis:.2g}")
+        coefficient, z = check.autocorrelation
+        lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+        test_text = f"p = {check.pit_p:.2g}, leave-one-out probability integral transform"
+        lines.append(f"noise law: {test_text}; excess kurtosis {check.excess_kurtosis:.2g}")
     lines += [f"scatter changes with {n} (p = {p:.1g})" for n, p in check.scatter_with.items()]
     if check.outliers:
-        outlier_rows = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
-        lines.append(f"outliers, used in the fit: {outlier_rows}{' …' * (len(check.outliers) > 5)}")
+        outlier_text = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
+        lines.append(f"outliers: {outlier_text}{' …' if len(check.outliers) > 5 else ''}")
     if check.one_sided < SIGNIFICANCE_LEVEL:
         lines.append(f"the largest residuals have mostly one sign (p = {check.one_sided:.1g})")
     return lines
@@ -197,11 +198,11 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
 
 def describe_region(row: Mapping[str, Any]) -> str:
     """Describe the worst region of a covariate: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
-    against, region = row["against"], row["worst"]
+    covariate, region = row["against"], row["worst"]
     low, high, group = region["from"], region["to"], region["group"]
     if row["by_group"]:
-        return f"{against} {group}"
-    if against == "order":
+        return f"{covariate} {group}"
+    if covariate == "order":
         return f"row {low:.0f}" if low == high else f"rows {low:.0f} to {high:.0f}"
     unit = unit_label(region["covariate_unit"])
     interval = f"at {number(low, 4)}" if low == high else f"{number(low, 4)} to {number(high, 4)}"
@@ -214,10 +215,10 @@ MAX_INDUCED_CORRELATION = 0.99
 SIGN_TEST_SHARE = 0.1  # share of the readings, those of largest residuals, in the sign test
 MAX_PAIRS = 15  # number of tested pairs of covariates
 MAX_MEMBERS = 64  # number of members of a group that is tested
-ROUNDING_SHARE = 1e-9  # share of a sum of squares, below which it is rounding error
+ROUNDING_TOLERANCE = 1e-9  # share of a sum of squares, below which it is rounding error
 MIN_RUN_REGION_READINGS = 8  # number of readings of a run, for a worst region within that run
 MAX_BINS = 12  # number of bins of a covariate
-LENGTH_COUNT = (3, 4)  # number of correlation lengths in the average: not in time, in time
+LENGTH_COUNTS = (3, 4)  # number of correlation lengths in the average: not in time, in time
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # prior sds in the average, noise sds
 INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an interaction
 
@@ -226,7 +227,7 @@ INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an in
 def check(calibration: Calibration) -> Check:
     """Check residuals for misspecification: dependence on covariates, autocorrelation, outliers, non-normality.
 
-    If coefficients are fixed, the reference noise is that of a refit with free ones, since misfit would inflate it.
+    If coefficients are fixed, residuals are compared with the noise of a refit that frees them: misfit inflates noise.
     """
     judged_fit, free_noise = _fit_reference_noise(calibration)
     linear = judged_fit.linear
@@ -234,10 +235,10 @@ def check(calibration: Calibration) -> Check:
     noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residuals**2)))
     covariates = collect_covariates(judged_fit)
     pairs = _list_covariate_pairs(covariates)
-    factors = compute_log_bayes_factors(judged_fit, covariates, noise)
+    log_factors = compute_log_bayes_factors(judged_fit, covariates, noise)
     interactions = [_build_interaction(a, b) for a, b in pairs]
     pair_factors = compute_log_bayes_factors(judged_fit, interactions, noise)
-    rows = zip(covariates, factors, strict=True)
+    rows = zip(covariates, log_factors, strict=True)
     entries = [Entry(c.name, f, _find_worst_region(judged_fit, c), bool(c.levels)) for c, f in rows]
     pair_rows = [Pair((a.name, b.name), f) for (a, b), f in zip(pairs, pair_factors, strict=True)]
     # Leave-one-out residuals over their predictive standard deviations, V⁻¹r over the root of V⁻¹'s diagonal, from the
@@ -246,12 +247,12 @@ def check(calibration: Calibration) -> Check:
     if judged_fit.model.noise.independent:
         loo_z = scores / np.sqrt(np.maximum(1 - np.sum(linear.directions**2, axis=1), 1e-12))
     # A wrong mean biases size and sign of the residuals: both are tested only without evidence against the mean.
-    scatter, one_sided = dict[str, float](), 1.0
-    if max(factors, default=0.0) < settings().strong_evidence:
-        scatter = _test_scatter(covariates, scores, calibration.readings["output"] - residuals)
+    p_values, sign_test_p = dict[str, float](), 1.0
+    if max(log_factors, default=0.0) < settings().strong_evidence:
+        p_values = _test_scatter(covariates, scores, calibration.readings["output"] - residuals)
         if count := int(SIGN_TEST_SHARE * len(loo_z)):  # sign test
             positives = int(np.sum(loo_z[np.argsort(-np.abs(loo_z))[:count]] > 0))
-            one_sided = min(1.0, 2 * float(bdtr(min(positives, count - positives), count, 0.5)))
+            sign_test_p = min(1.0, 2 * float(bdtr(min(positives, count - positives), count, 0.5)))
     outlier_threshold = settings().outlier_sd
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
@@ -260,10 +261,10 @@ def check(calibration: Calibration) -> Check:
         rms=rms,
         noise=noise,
         autocorrelation=autocorrelation(judged_fit, scores),
-        scatter_with=scatter,
+        scatter_with=p_values,
         outliers=tuple((i, z) for i, z in enumerate(loo_z.tolist()) if abs(z) > outlier_threshold),
         pit_p=_test_normality(loo_z),
-        one_sided=one_sided,
+        one_sided=sign_test_p,
         excess_kurtosis=float(np.mean((loo_z - loo_z.mean()) ** 4) / (np.var(loo_z) ** 2 or 1)) - 3,
         free_noise=free_noise,
         residuals=residuals,
@@ -275,11 +276,11 @@ def why_not(calibration: Calibration, checks: Check | None = None) -> str:
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
-    attributes = vars(calibration)  # cached with the other computed attributes
-    if "why_not" not in attributes:
-        no_noise = judgement.explain_missing_noise(calibration)
-        attributes["why_not"] = no_noise or " ".join(_list_failures(calibration, checks))
-    return attributes["why_not"]
+    cache = vars(calibration)  # cached with the other computed attributes
+    if "why_not" not in cache:
+        noise_message = judgement.explain_missing_noise(calibration)
+        cache["why_not"] = noise_message or " ".join(_list_failures(calibration, checks))
+    return cache["why_not"]
 
 
 def _list_failures(calibration: Calibration, checks: Check | None) -> Sequence[judgement.Claim]:
@@ -291,19 +292,19 @@ def _list_failures(calibration: Calibration, checks: Check | None) -> Sequence[j
 
 
 def _fit_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
-    """Return the fit with the reference noise, and the noise sd of a refit with fixed coefficients freed, or None."""
+    """Return the fit with the noise of a refit that frees fixed coefficients, and that noise's sd; None: none fixed."""
     # Coefficients fixed by the user at stated values; not those known by definition.
     fixed_names = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
     if not fixed_names:
         return calibration, None
     method, constants = LeastSquares(draws=400), calibration.reference
     model, readings = calibration.model.free(*fixed_names), calibration.readings
-    free_fit = fit(model, readings, method, reference=constants, strict=False)
+    freed_fit = fit(model, readings, method, reference=constants, strict=False)
     v = np.array(calibration.mode.v)
     for i in calibration.layout.phi_indices("noise"):
-        v[i] = free_fit.mode.v[free_fit.layout.index_in_phi[calibration.layout.hypers[i].name]]
+        v[i] = freed_fit.mode.v[freed_fit.layout.index_in_phi[calibration.layout.hypers[i].name]]
     judged_fit = replace(calibration, mode=calibration.mode._replace(v=v))
-    return judged_fit, float(np.sqrt(np.mean(free_fit.linear.variance)))
+    return judged_fit, float(np.sqrt(np.mean(freed_fit.linear.variance)))
 
 
 @dataclass(frozen=True)
@@ -318,28 +319,28 @@ class Covariate:
     levels: tuple[str, ...] = ()  # names of a group's members
 
     @classmethod
-    def smooth(cls, name: str, values: np.ndarray, unit: str = "", in_time: bool = False) -> Self:
-        """Build the basis columns of a smooth dependence on a covariate that varies."""
+    def build(cls, name: str, values: np.ndarray, unit: str = "", in_time: bool = False) -> Self:
+        """Return a covariate with basis columns of a smooth dependence, at the resolution for time if `in_time`."""
         term_count, length_range = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
-        lengths = np.geomspace(*length_range, LENGTH_COUNT[in_time])
+        lengths = np.geomspace(*length_range, LENGTH_COUNTS[in_time])
         weights = tuple(make_process_weights(term_count, length) for length in lengths)
         return cls(name, values, make_process_columns(position, term_count), weights, unit)
 
 
 def collect_covariates(calibration: Calibration) -> list[Covariate]:
     """List the recorded and derived covariates that residuals are tested against."""
-    readings, frame, smooth = calibration.readings, calibration.frame, Covariate.smooth
+    readings, frame, build = calibration.readings, calibration.frame, Covariate.build
     excluded_names = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
     covariates = []
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is not None and name not in excluded_names and np.ptp(readings[name]) > 0:
-            covariates.append(smooth(name, readings[name], unit, in_time=name == "time"))
+            covariates.append(build(name, readings[name], unit, in_time=name == "time"))
     if np.ptp(rate := 60 * np.asarray(frame.rates.get("temperature", 0.0))) > 0:
-        covariates.append(smooth("temperature rate", rate, "degC/min"))
+        covariates.append(build("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
-        covariates.append(smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s", True))
+        covariates.append(build("elapsed", np.asarray(frame.columns["elapsed"]), "s", True))
     for group in calibration.levels:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MAX_MEMBERS:  # an indicator column per member
@@ -347,14 +348,14 @@ def collect_covariates(calibration: Calibration) -> list[Covariate]:
             ones = (np.ones(columns.shape[1]),)
             covariates.append(Covariate(group, codes.astype(float), columns, ones, levels=levels))
     if not readings.has("time"):
-        covariates.append(smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
+        covariates.append(build("order", np.arange(1.0, len(readings) + 1), in_time=True))
     return covariates
 
 
 def _list_covariate_pairs(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
-    """List pairs of covariates whose rank correlation is below 0.95."""
-    numeric = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
-    pairs = combinations([(c, _rank_values(c.values)) for c in numeric], 2)
+    """List up to 15 pairs of numeric covariates whose rank correlation is below 0.95 in magnitude."""
+    numeric_covariates = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
+    pairs = combinations([(c, _rank_values(c.values)) for c in numeric_covariates], 2)
     correlations = ((a, b, judgement.correlation(x, y)[0]) for (a, x), (b, y) in pairs)
     return [(a, b) for a, b, r in correlations if abs(r) < SAME_COVARIATE_CORRELATION][:MAX_PAIRS]
 
@@ -382,49 +383,49 @@ def _build_interaction(first: Covariate, second: Covariate) -> Covariate:
 
     first_columns, second_columns = legendre_columns(first.values), legendre_columns(second.values)
     basis = (first_columns[:, :, None] * second_columns[:, None, :]).reshape(len(first_columns), -1)
-    scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
-    weights = (np.full(basis.shape[1], 1 / max(scale, 1e-300)),)
+    rms_norm = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
+    weights = (np.full(basis.shape[1], 1 / max(rms_norm, 1e-300)),)
     return Covariate(f"{first.name} × {second.name}", first.values, basis, weights)
 
 
 def compute_log_bayes_factors(
-    calibration: Calibration, covariates: Sequence[Covariate], noise: float
+    calibration: Calibration, covariates: Sequence[Covariate], noise_sd: float
 ) -> list[float]:
     """Return the log Bayes factor of a dependence of the residuals on each covariate.
 
-    It is averaged over correlation lengths, and over amplitudes in units of `noise`, a standard deviation, output unit.
+    It is averaged over correlation lengths, and over amplitudes in units of the standard deviation `noise_sd`.
     """
-    factors = list[float]()
+    log_factors = list[float]()
     for covariate in covariates:
-        score, information = calibration.linear.score(covariate.columns * noise)
+        score, information = calibration.linear.score(covariate.columns * noise_sd)
         amplitudes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
         scaled_information = amplitudes[:, :, None] * information * amplitudes[:, None, :]
         log_det, squares = explained_sum_of_squares(amplitudes * score, scaled_information)
-        factors.append(float(logsumexp(0.5 * squares - log_det) - np.log(np.size(log_det))))
-    return factors
+        log_factors.append(float(logsumexp(0.5 * squares - log_det) - np.log(np.size(log_det))))
+    return log_factors
 
 
-def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
+def autocorrelation(calibration: Calibration, scores: np.ndarray) -> tuple[float, float]:
     """Return the lag-1 autocorrelation within runs in excess of that induced by the fit, and its z.
 
     A fit induces autocorrelation: the residuals of n independent readings about a fitted level have −1/(n − 1). With r
     the residuals' lag-1 autocorrelation and ρ its expectation for independent noise under this model, the coefficient
     is the difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
     """
-    order, step = calibration.problem.record.time_order
-    starts = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
-    sorted_residuals = standardised[order]
-    r0, r1 = sorted_residuals[starts], sorted_residuals[starts + 1]
+    time_order, time_steps = calibration.problem.record.time_order
+    pair_starts = np.flatnonzero((time_steps[1:] >= 0) | (not calibration.readings.has("time")))
+    sorted_residuals = scores[time_order]
+    r0, r1 = sorted_residuals[pair_starts], sorted_residuals[pair_starts + 1]
     norm_product = float(np.linalg.norm(r0) * np.linalg.norm(r1))
     if not norm_product > 0:
         return 0.0, 0.0
-    expected, sd = _expect_autocorrelation(calibration.linear.directions[order], starts)
+    rho, sd = _expect_autocorrelation(calibration.linear.directions[time_order], pair_starts)
     product, mean_square = float(r0 @ r1), 0.5 * float(r0 @ r0 + r1 @ r1)
-    if sd == 0 or abs(expected) > MAX_INDUCED_CORRELATION:
+    if sd == 0 or abs(rho) > MAX_INDUCED_CORRELATION:
         return 0.0, 0.0
-    lag_one = product / norm_product
-    coefficient = float(np.clip((lag_one - expected) / (1 - lag_one * expected), -1, 1))
-    return coefficient, (product / mean_square - expected) / sd
+    r = product / norm_product
+    coefficient = float(np.clip((r - rho) / (1 - r * rho), -1, 1))
+    return coefficient, (product / mean_square - rho) / sd
 
 
 def _expect_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple[float, float]:
@@ -436,27 +437,27 @@ def _expect_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple
     """
     weights = 0.5 * np.bincount(np.append(starts, starts + 1), minlength=len(directions))  # D
     mean_square = float(weights @ (1 - np.sum(directions**2, axis=1)))  # tr(DC)
-    if mean_square < ROUNDING_SHARE * starts.size:
+    if mean_square < ROUNDING_TOLERANCE * starts.size:
         return 0.0, 0.0
-    expected = -float(np.sum(directions[starts] * directions[starts + 1])) / mean_square
-    kg = -expected * weights[:, None] * directions
+    expected_correlation = -float(np.sum(directions[starts] * directions[starts + 1])) / mean_square
+    kg = -expected_correlation * weights[:, None] * directions
     kg[starts] += 0.5 * directions[starts + 1]
     kg[starts + 1] += 0.5 * directions[starts]
-    square_trace = 0.5 * starts.size + expected**2 * float(weights @ weights)  # tr(KK)
+    square_trace = 0.5 * starts.size + expected_correlation**2 * float(weights @ weights)  # tr(KK)
     trace = square_trace - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
-    if trace < ROUNDING_SHARE * starts.size:
-        return expected, 0.0
-    return expected, float(np.sqrt(2 * trace)) / mean_square
+    if trace < ROUNDING_TOLERANCE * starts.size:
+        return expected_correlation, 0.0
+    return expected_correlation, float(np.sqrt(2 * trace)) / mean_square
 
 
 def _test_scatter(
-    covariates: list[Covariate], standardised: np.ndarray, expected: np.ndarray
+    covariates: list[Covariate], standardised_residuals: np.ndarray, outputs: np.ndarray
 ) -> dict[str, float]:
     """Return the significant p-values of rank correlation between absolute residuals and covariates, by name."""
     columns = {c.name: c.values for c in covariates if not c.levels}
     # Noise proportional to |output| is not monotonic in any column if the output has both signs.
-    columns["the output's distance from its median"] = np.abs(expected - np.median(expected))
-    residual_ranks, p_values = _rank_values(np.abs(standardised)), dict[str, float]()
+    columns["the output's distance from its median"] = np.abs(outputs - np.median(outputs))
+    residual_ranks, p_values = _rank_values(np.abs(standardised_residuals)), dict[str, float]()
     for name, values in columns.items():
         if np.ptp(values) > 0 and len(values) > 2:
             p_values[name] = judgement.correlation(residual_ranks, _rank_values(values))[1]
@@ -471,14 +472,14 @@ def noise_floor(calibration: Fitted) -> float:
     """
     residuals, readings = calibration.linear.conditional_residuals, calibration.readings
     if readings.has("time"):
-        order, step = calibration.problem.record.time_order
-        has_previous = step >= 0
+        order, time_steps = calibration.problem.record.time_order
+        has_previous = time_steps >= 0
     else:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, has_previous = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
         has_previous[0] = False
-    r, has_both = residuals[order], has_previous[1:-1] & has_previous[2:]
-    differences = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[has_both]
+    r, has_neighbours = residuals[order], has_previous[1:-1] & has_previous[2:]
+    differences = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[has_neighbours]
     if differences.size < 3:
         return float(np.sqrt(np.mean(residuals**2)))
     return float(np.sqrt(np.mean(differences**2) / 1.5))
@@ -507,26 +508,26 @@ def _find_worst_range(
 ) -> Region:
     """Find the range of bins of the masked readings whose mean residual has the largest |z|."""
     values = covariate.values[mask]
-    distinct, bins = np.unique(values), np.full(len(mask), -1)
-    if covariate.levels or len(distinct) <= MAX_BINS:
-        bins[mask], count = np.searchsorted(distinct, values), len(distinct)
+    distinct_values, bins = np.unique(values), np.full(len(mask), -1)
+    if covariate.levels or len(distinct_values) <= MAX_BINS:
+        bins[mask], count = np.searchsorted(distinct_values, values), len(distinct_values)
     else:
         edges = np.quantile(values, np.linspace(0, 1, MAX_BINS + 1)[1:-1])
         bins[mask], count = np.searchsorted(edges, values, side="right"), MAX_BINS
-    score, weight = calibration.linear.normal_eqs((bins[:, None] == np.arange(count)).astype(float))
+    score, gram = calibration.linear.normal_eqs((bins[:, None] == np.arange(count)).astype(float))
     starts, ends = np.triu_indices(count + 1, 1)
     is_short_enough = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
     starts, ends = starts[is_short_enough], ends[is_short_enough]
-    score_sums = np.append(0.0, np.cumsum(score))
-    weights = np.pad(weight.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    sums = score_sums[ends] - score_sums[starts]
-    end_sums, start_sums = (weights[ends, i] - weights[starts, i] for i in (ends, starts))
+    cumulative_scores = np.append(0.0, np.cumsum(score))
+    gram_sums = np.pad(gram.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = cumulative_scores[ends] - cumulative_scores[starts]
+    end_sums, start_sums = (gram_sums[ends, i] - gram_sums[starts, i] for i in (ends, starts))
     information = end_sums - start_sums
     is_informed = information > 0
     scores = np.where(is_informed, sums, 0.0) / np.sqrt(np.where(is_informed, information, 1.0))
     worst_index = int(np.argmax(np.abs(scores)))
     z = float(scores[worst_index])
-    in_region = (bins >= starts[worst_index]) & (bins < ends[worst_index])
-    values = covariate.values[in_region] if in_region.any() else covariate.values
+    is_in_region = (bins >= starts[worst_index]) & (bins < ends[worst_index])
+    values = covariate.values[is_in_region] if is_in_region.any() else covariate.values
     mean_residual = float(sums[worst_index] / information[worst_index]) if z != 0 else 0.0
     return Region(float(values.min()), float(values.max()), run, mean_residual, z, covariate.unit)

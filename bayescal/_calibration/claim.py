@@ -44,7 +44,7 @@ def limit(code: str, name: str) -> float:
 
 
 class _TemplateFormatter(string.Formatter):
-    """A `str.format` that fills the templates in `claims.toml`: units, lists and numbers."""
+    """Formatter of the templates in `claims.toml`: labels units (`unit`), joins names by commas (`list`) or "and"."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec == "unit":
@@ -89,6 +89,6 @@ class Claim(Flag):
         return {**record, "in_words": str(self)}
 
 
-def as_claim(words: str) -> Claim:
+def as_claim(message: str) -> Claim:
     """Return a claim unchanged; wrap a plain message of a saved calibration as a claim with code "kept"."""
-    return words if isinstance(words, Claim) else Claim("kept", words=words)
+    return message if isinstance(message, Claim) else Claim("kept", words=message)

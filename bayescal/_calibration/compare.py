@@ -72,10 +72,10 @@ class Comparison(Printed):
     def _list_parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
         is_grouped, unit = self.chosen_by != LOO_SCORE, unit_label(self.unit)
-        fold, format_score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
+        scheme_name, format_score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
         group_columns = (
-            TableColumn(f"{fold} rms error", "group_rmse", number, unit),
-            TableColumn(f"{fold} elpd", "group_score", format_score),
+            TableColumn(f"{scheme_name} rms error", "group_rmse", number, unit),
+            TableColumn(f"{scheme_name} elpd", "group_score", format_score),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
         )
         columns = (
@@ -96,7 +96,7 @@ class Comparison(Printed):
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
 
     def _list_columns(self) -> dict[str, list[Any]]:
-        """Return one row per model, with the fields of `ComparisonRow`; errors in the output's unit."""
+        """Return the fields of `ComparisonRow` by name, an entry per model; errors in the output's unit."""
         return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(ComparisonRow)}
 
 
@@ -134,22 +134,22 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     loo = {name: compute_loo(c) for name, c in calibrations.items()}
     best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
     weights = stack_models(np.stack([densities for densities, _ in loo.values()], axis=1))
-    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
-    fold_list = [f for f in folds.values() if f is not None]
-    fold, is_grouped = next(iter(fold_list), None), len(fold_list) == len(folds)
-    best_scores = max((f.log_score for f in fold_list), key=np.sum) if is_grouped else None
+    validations = {name: leave_one_group_out(c) for name, c in calibrations.items()}
+    validation_list = [f for f in validations.values() if f is not None]
+    groups, is_grouped = next(iter(validation_list), None), len(validation_list) == len(validations)
+    best_scores = max((f.log_score for f in validation_list), key=np.sum) if is_grouped else None
     rows = list[ComparisonRow]()
     for (name, c), weight in zip(calibrations.items(), weights, strict=True):
-        (densities, pareto_k), held_out = loo[name], folds[name]
-        gaps = None if held_out is None or best_scores is None else held_out.log_score - best_scores
+        (densities, pareto_k), scores = loo[name], validations[name]
+        gaps = None if scores is None or best_scores is None else scores.log_score - best_scores
         row = ComparisonRow(
             name=name,
             effects=", ".join(c.model.names),
             rmse=predict(c).rmse,
-            group_score=held_out and float(held_out.log_score.sum()),
+            group_score=scores and float(scores.log_score.sum()),
             group_difference=None if gaps is None else float(gaps.sum()),
             group_error=None if gaps is None or len(gaps) < MIN_GROUPS else _sum_error(gaps),
-            group_rmse=held_out and held_out.rmse,
+            group_rmse=scores and scores.rmse,
             loo=float(densities.sum()),
             loo_difference=float((densities - best_loo).sum()),
             loo_error=_sum_error(densities - best_loo),
@@ -159,17 +159,17 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
         )
         rows.append(row)
     ranking, ranking_field = (GROUP_SCORE, "group_score") if is_grouped else (LOO_SCORE, "loo")
-    few_groups = is_grouped and fold is not None and fold.count < MIN_GROUPS
-    if few_groups and all(r.log_evidence is not None for r in rows):
+    has_few_groups = is_grouped and groups is not None and groups.count < MIN_GROUPS
+    if has_few_groups and all(r.log_evidence is not None for r in rows):
         ranking, ranking_field = EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, ranking_field))
     return Comparison(
         rows=tuple(rows),
-        group=fold.group if fold else "reading",
-        groups=fold.count if fold else len(output),
+        group=groups.group if groups else "reading",
+        groups=groups.count if groups else len(output),
         unit=first_fit.unit,
         chosen_by=ranking,
-        warnings=tuple(_warn(rows, ranking, fold)),
+        warnings=tuple(_warn(rows, ranking, groups)),
     )
 
 
@@ -193,22 +193,23 @@ def _sum_error(differences: np.ndarray) -> float:
     return float(np.sqrt(differences.size * differences.var(ddof=1)))
 
 
-def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
-    """Yield claims if the ranking is undecided or contradicted by group scores, or PSIS-LOO is unreliable."""
+def _warn(rows: list[ComparisonRow], rule: str, groups: LeaveOneGroupOut | None) -> Iterator[Claim]:
+    """Yield claims on too few groups, an undecided ranking, one that group scores contradict, unreliable PSIS-LOO."""
     best, runner_up = rows[:2]
-    if fold and fold.count < MIN_GROUPS:
-        yield Claim("compare.few_groups", fold.group, count=fold.count)
+    if groups and groups.count < MIN_GROUPS:
+        yield Claim("compare.few_groups", groups.group, count=groups.count)
     undecided_claim = partial(Claim, "compare.undecided", best.name, runner_up.name)
     if rule == EVIDENCE:
-        gap = (best.log_evidence or 0.0) - (runner_up.log_evidence or 0.0)
-        if gap < settings().strong_evidence:
-            yield undecided_claim(gap=f"{gap:.1f}", measure=rule)
-        if (best_by_groups := max(rows, key=lambda r: r.group_score or -np.inf)) is not best:
+        difference = (best.log_evidence or 0.0) - (runner_up.log_evidence or 0.0)
+        if difference < settings().strong_evidence:
+            yield undecided_claim(gap=f"{difference:.1f}", measure=rule)
+        best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
+        if best_by_groups is not best:
             yield Claim("compare.other_first", best_by_groups.name)
     elif rule == GROUP_SCORE and runner_up.group_error:
-        gap, error = -(runner_up.group_difference or 0.0), runner_up.group_error
-        if gap < limit("compare.undecided", "errors") * error:
-            yield undecided_claim(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{rule} score")
+        difference, error = -(runner_up.group_difference or 0.0), runner_up.group_error
+        if difference < limit("compare.undecided", "errors") * error:
+            yield undecided_claim(gap=f"{difference:.1f} ± {error:.1f}", measure=f"{rule} score")
     for row in (r for r in rows if r.pareto_k > MAX_K_HAT):
         yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 
@@ -216,8 +217,8 @@ def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -
 def _name_by_effects(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
     """Name each fit after its effects that not all fits have, or "model 1" … if that name is empty or a duplicate."""
     common = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
-    by_name: dict[str, Calibration] = {}
+    named_fits: dict[str, Calibration] = {}
     for i, c in enumerate(calibrations, start=1):
         name = " ".join(f"+ {n}" for n in c.model.names if n not in common)
-        by_name[name if name and name not in by_name else f"model {i}"] = c
-    return by_name
+        named_fits[name if name and name not in named_fits else f"model {i}"] = c
+    return named_fits

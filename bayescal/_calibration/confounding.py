@@ -57,7 +57,7 @@ class Confounder(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return the column's name, or "half a step of" it."""
+        """Return the column's name; for a rounded column, "half a step of" and the name."""
         return f"half a step of {self.column}" if self.step else self.column
 
 
@@ -114,7 +114,7 @@ def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
 
 
 def find_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """Return the shift of the posterior mean of x (p, k) that adding each column with coefficient one would cause."""
+    """Return the shift of the posterior mean of x (p, k) caused by adding each whitened column with coefficient one."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)
 
@@ -130,31 +130,31 @@ def mask_widened(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool[
 def find_unmodelled_columns(
     model: Model, readings: Measurements
 ) -> dict[str, Float[np.ndarray, "n"]]:
-    """Return the varying columns that are neither modelled, nor declared, nor time, nor of a declared quantity."""
+    """Return varying columns, by name, neither modelled, nor time, nor declared or of a declared column's dimension."""
     # The catalogue has named effects of declared quantities (a second thermometer, a set point) and of time.
     declared_names = {c.name for c in model.instrument.columns}
-    excluded = declared_names | model.columns | {*TIME_COLUMNS}
+    excluded_names = declared_names | model.columns | {*TIME_COLUMNS}
     units = [readings.unit(n) for n in declared_names & {*readings.columns}]
     units, columns = [u for u in units if u not in (None, "1", "s")], dict[str, np.ndarray]()
     for name, values in list_covariates(readings).items():
         column = strip_rate(name)
         unit = readings.unit(column) if readings.has(column) else None
-        is_same = any(unit and same_dimension(unit, str(u)) for u in units)
-        if np.ptp(values) > 0 and name not in excluded and column not in excluded and not is_same:
+        is_declared = any(unit and same_dimension(unit, str(u)) for u in units)
+        if not ({name, column} & excluded_names or is_declared) and np.ptp(values) > 0:
             columns[name] = values
     return columns
 
 
 def widen_draws(
-    x: Float[np.ndarray, "chains draws p"], sources: Sequence[Confounder], layout: Layout, seed: int
+    x: Float[np.ndarray, "chains draws p"], columns: Sequence[Confounder], layout: Layout, seed: int
 ) -> Float[np.ndarray, "chains draws p"]:
     """Add the confounders' variance to draws of the coefficients, without changing their mean."""
-    for i, confounder in enumerate(sources):
+    for i, confounder in enumerate(columns):
         # Normal quantiles in random order: exact moments, without sampling noise.
         count = x.shape[0] * x.shape[1]
         deviates = ndtri((np.arange(count) + 0.5) / count)
         permutation = np.random.default_rng([seed, 3, i]).permutation(count)
         deviates = (deviates / deviates.std())[permutation].reshape(*x.shape[:2], 1)
-        shares = [confounder.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
-        x = x + deviates * np.concatenate([np.zeros(0), *shares])
+        x_shares = [confounder.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
+        x = x + deviates * np.concatenate([np.zeros(0), *x_shares])
     return x

@@ -82,12 +82,12 @@ def fit(
     model = model.with_nuisances(readings)
     _refuse_constant_output(readings)
     requested, constants = reference or {}, list_constant_names(readings)
-    if unknown := sorted({n for n, v in requested.items() if not isinstance(v, dict)} - constants):
+    if absent := sorted({n for n, v in requested.items() if not isinstance(v, dict)} - constants):
         raise InputError(
-            f"reference: no basis has a constant {', '.join(unknown)}; for these readings there are: "
+            f"reference: no basis has a constant {', '.join(absent)}; for these readings there are: "
             f"{', '.join(sorted(constants))}"
         )
-    reference = _with_origin(model, readings, {**reference_of(readings), **requested})
+    reference = _add_origins(model, readings, {**reference_of(readings), **requested})
     record = record_of(model.instrument, readings, reference)
     record.require_finite(model.effects)
     model = fill_amplitudes(model, readings, record)
@@ -123,30 +123,29 @@ def fit(
     return calibration
 
 
-def _with_origin(model: Model, readings: Measurements, reference: Reference) -> Reference:
+def _add_origins(model: Model, readings: Measurements, reference: Reference) -> Reference:
     """Add the outputs' origins to a reference, where outputs are far from zero and the model has a constant.
 
     An origin is subtracted from outputs and model against cancellation in sums of squares: at 10 MHz, read to 2 mHz, a
     double has six digits of the noise, and a sum of squared outputs has none. A constant coefficient of the model
     shifts every reading equally: the origin is subtracted from outputs and coefficient, and added to reported values.
-
     An axis' origin is a multiple of a power of two above its outputs' last digit, so that its subtraction is exact.
     """
     stored_origins = select_origins(reference)
-    without_origins = {name: v for name, v in reference.items() if name not in stored_origins}
+    plain_reference = {name: v for name, v in reference.items() if name not in stored_origins}
     far = {n: _find_nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
-        return without_origins
+        return plain_reference
     origins = {n: [*stored_origins.get(name_reference(n), {}).items()] for n in far}
     names = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
     if all(len(o) == 1 and o[0][0] in names and o[0][1] == far[n] for n, o in origins.items()):
         return dict(reference)  # these readings' origins already, from a smaller model
-    record = record_of(model.instrument, readings, without_origins)
+    record = record_of(model.instrument, readings, plain_reference)
     constants = [_find_constant_coefficient(model, record, i) for i in range(len(far))]
     if None in constants:
-        return without_origins
+        return plain_reference
     origins = {name_reference(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
-    return {**without_origins, **origins}  # pyright: ignore[reportReturnType]
+    return {**plain_reference, **origins}  # pyright: ignore[reportReturnType]
 
 
 def _find_nearest_origin(output: Float[np.ndarray, "n"]) -> float:
@@ -155,17 +154,17 @@ def _find_nearest_origin(output: Float[np.ndarray, "n"]) -> float:
     return step * round(float(np.median(output)) / step)
 
 
-def _find_constant_coefficient(model: Model, record: Record, output: int) -> str | None:
-    """Find the coefficient of widest prior that shifts an output one to one in every reading; None if none."""
+def _find_constant_coefficient(model: Model, record: Record, output_index: int) -> str | None:
+    """Return the coefficient with the widest prior among those that shift an output one to one everywhere, or None."""
     instrument, prior_sds = model.instrument, dict[str, float]()
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             slot = c.slot or effect.slot
             if c.group_sd is not None or c.per == READING or effect.column_shapes:
                 continue
-            in_every_reading = c.per is None or (record.codes[c.per] >= 0).all()
+            is_in_all = c.per is None or (record.codes[c.per] >= 0).all()
             column = record.columns(ColumnSpec.from_effect(effect), ())[:, i]
-            if in_every_reading and np.all(column == 1.0) and _has_unit_slope(record, slot, output):
+            if is_in_all and np.all(column == 1.0) and _has_unit_slope(record, slot, output_index):
                 prior_sd = math.inf if c.flat else c.size * compute_factor(instrument, effect, c)
                 prior_sds[effect.coefficient_name(i)] = prior_sd
     return max(prior_sds, key=prior_sds.__getitem__) if prior_sds else None
@@ -173,15 +172,15 @@ def _find_constant_coefficient(model: Model, record: Record, output: int) -> str
 
 def _has_unit_slope(record: Record, slot: str, output: int) -> bool:
     """Return whether ∂output/∂slot is one, and zero for the other axes, at random values of all slots."""
-    vector, random = record.instrument.vector, np.random.default_rng(0)
+    vector, rng = record.instrument.vector, np.random.default_rng(0)
     if slot not in record.slots:
         return False
     for _ in range(2):
-        slots = {name: random.standard_normal(record.size) for name in record.slots}
+        slots = {name: rng.standard_normal(record.size) for name in record.slots}
         if vector is None:
             jacobian = record.respond(slots, {})[1][slot][:, None]
         else:
-            x = random.standard_normal((record.size, 3))
+            x = rng.standard_normal((record.size, 3))
 
             def evaluate(value: Any, slots=slots, x=x) -> Any:
                 return vector.equation({**slots, slot: value}, record.frame)(jnp.asarray(x))

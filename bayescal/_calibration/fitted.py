@@ -11,12 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtrc
 
-from bayescal._calibration.confounding import (
-    Confounder,
-    find_confounders,
-    find_unmodelled_columns,
-    widen_draws,
-)
+from bayescal._calibration import confounding
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.renamed import renamed
@@ -68,7 +63,7 @@ class Fitted:
     mode: Mode
     log_evidence: tuple[float, float | None] | None
     start: dict[str, float] = field(default_factory=dict)
-    confounded: tuple[Confounder, ...] | None = None  # None: computed from the readings
+    confounded: tuple[confounding.Confounder, ...] | None = None  # None: computed from the readings
     form_factor: float = 1.0
     unfound_spreads: dict[str, float] = field(default_factory=dict)
 
@@ -99,21 +94,22 @@ class Fitted:
     @cached_property
     def values(self) -> Float[np.ndarray, "chains draws unknowns"]:
         """Return the draws of `posterior`, in the order of `unknowns`."""
-        x = widen_draws(self.joint.x, self.confounders, self.layout, self.seed)
+        x = confounding.widen_draws(self.joint.x, self.confounders, self.layout, self.seed)
         return self.unknowns.values(x, self.joint.v)
 
     @cached_property
-    def confounders(self) -> tuple[Confounder, ...]:
-        """Return recorded columns that increase the standard uncertainty of collinear coefficients."""
+    def confounders(self) -> tuple[confounding.Confounder, ...]:
+        """Return collinear or rounded columns that increase a coefficient's uncertainty; none if not converged."""
         if self.confounded is not None:
             return self.confounded
         if not self.verdict.ok:
             return ()
-        columns, steps = find_unmodelled_columns(self.model, self.readings), self._rounding_steps()
-        return find_confounders(self.linear, columns, steps) if columns or steps else ()
+        columns = confounding.find_unmodelled_columns(self.model, self.readings)
+        steps = self._find_rounding_steps()
+        return confounding.find_confounders(self.linear, columns, steps) if columns or steps else ()
 
-    def _rounding_steps(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Return rounding steps of thermometers and output, and the derivative with respect to each (n,)."""
+    def _find_rounding_steps(self) -> dict[str, tuple[float, np.ndarray]]:
+        """Return the rounding step of the output and of each thermometer, and ∂output/∂column (n,), by column."""
         readings, steps = self.readings, dict[str, tuple[float, np.ndarray]]()
         if step := find_grid_step(readings["output"]):
             steps["output"] = step, np.ones(len(readings))
@@ -123,8 +119,8 @@ class Fitted:
             if 0 < (step := find_grid_step(values, MIN_CHANGES)) <= MAX_THERMOMETER_STEP_DEGC:
                 frame = self.frame_of(readings.with_column(name, values + step))
                 hyper = self.problem.hyper(self.mode.v)
-                shifted_model = self.problem_on(frame).linearise(self.mode.x, hyper)
-                steps[name] = step, (shifted_model.mean - self.linear.mean) / step
+                shifted_fit = self.problem_on(frame).linearise(self.mode.x, hyper)
+                steps[name] = step, (shifted_fit.mean - self.linear.mean) / step
         return steps
 
     @property
@@ -140,11 +136,11 @@ class Fitted:
 
     def problem_on(self, frame: Frame) -> Problem:
         """Return the inference problem of the fitted structure on other readings."""
-        fitted = self.problem.record
-        if frame is fitted.frame:
+        fit_record = self.problem.record
+        if frame is fit_record.frame:
             return self.problem
-        if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
-            return Problem(self.layout, fitted.with_frame(frame))
+        if all(frame.columns[n] is column for n, column in fit_record.frame.columns.items()):
+            return Problem(self.layout, fit_record.with_frame(frame))
         record = Record(self.model.instrument, frame, np.asarray(frame["output"]))
         return Problem(self.layout, record)
 
@@ -155,7 +151,7 @@ class Fitted:
 
     @property
     def chi_squared_test(self) -> tuple[float, int, float]:
-        """Return χ² of the residuals against their known variance, its degrees of freedom, its p-value.
+        """Return χ² of the residuals for their modelled variance, its degrees of freedom, and its p-value or NaN.
 
         The variance is that of the noise model and of uncertain inputs; χ² tests the fit if `noise.white` is fixed.
         """
@@ -191,7 +187,7 @@ class Fitted:
         return constants
 
     def _active_at(self, column: str, value: float) -> set[str]:
-        """Return names of the effects that are nonzero at a value of a column."""
+        """Return the names of a column's effects that are nonzero at a value of it."""
         values: Any = np.full(self._probe_frame.size, value)
         probe = replace(self._probe_frame, columns={**self._probe_frame.columns, column: values})
         effects = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
@@ -248,7 +244,7 @@ class Fitted:
 
     @property
     def likeliest_effects(self) -> set[str]:
-        """Return the effects of the most probable structure."""
+        """Return the names of the effects of the most probable structure."""
         patterns, counts = np.unique([*self.inclusion_masks.values()], axis=1, return_counts=True)
         best = patterns[:, counts.argmax()]
         return {name for name, included in zip(self.inclusion_masks, best, strict=True) if included}
@@ -261,7 +257,7 @@ class Fitted:
         return set().union(GROUPS, *(e.columns for e in probable_effects))
 
     def with_columns(self, columns: Iterable[str]) -> Self:
-        """Return the posterior conditional on structures that need no other columns, if enough draws remain."""
+        """Return the posterior conditional on structures that need no other columns; itself if too few draws remain."""
         missing = [e.name for e in self.model.effects if not {*e.columns} <= {*columns}]
         return self.without(missing) if missing else self
 
@@ -282,13 +278,13 @@ class Fitted:
         return replace(self, model=layout.model, layout=layout, joint=Draws.of(x, v), mode=mode)
 
     def draws(self, limit: int | None = None) -> FlatDraws:
-        """Return joint draws (x, v) as flat arrays, x relative to its origin, evenly thinned to `limit`."""
+        """Return joint draws (x, v) as flat arrays, x relative to its origin, evenly thinned to at most `limit`."""
         x, v = np.concatenate(self.joint.x), np.concatenate(self.joint.v)
         step = 1 if limit is None else max(1, -(-len(x) // limit))
         return FlatDraws(x[::step], v[::step])
 
     def thin_draws(self, limit: int) -> tuple[FlatDraws, int]:
-        """Thin each chain so that draws times readings stay within a limit; return draws and chain count."""
+        """Return draws, thinned so that draws × readings is at most about `limit`, and the number of chains."""
         chains, length = self.joint.x.shape[:2]
         step = -(-length // max(1, min(length, limit // max(1, chains * len(self.readings)))))
         arrays = (np.concatenate(a[:, ::step]) for a in (self.joint.x, self.joint.v))
@@ -316,8 +312,8 @@ class Fitted:
         draws, chains = self.thin_draws(limit)
         problem, record = self.problem, self.problem.record
         densities = np.empty((len(draws.x), record.size))
-        for chunk, sample, hyper in _iterate_chunks(problem, draws):
-            mean, input_var = problem.expected_and_extra(sample.x, hyper)
+        for chunk, chunk_draws, hyper in _iterate_chunks(problem, draws):
+            mean, input_var = problem.expected_and_extra(chunk_draws.x, hyper)
             residuals = record.y - mean
             densities[chunk] = log_densities(problem.noise, record, residuals, hyper, input_var)
         by_chain = densities.reshape(chains, -1, record.size)
@@ -346,9 +342,9 @@ def has_effect(
 ) -> Bool[np.ndarray, "b"]:
     """Mask the draws whose structure includes an effect: its coefficients are exactly zero in all others."""
     effect_blocks = (b for b in blocks if b.place == "x" and b.effect.name == name)
-    nonzero = [np.any(x[:, b.x_slice] != 0, axis=1) for b in effect_blocks]
+    is_nonzero = [np.any(x[:, b.x_slice] != 0, axis=1) for b in effect_blocks]
     # An effect that is fixed or sampled with φ is part of every structure.
-    return np.any(nonzero, axis=0) if nonzero else np.ones(len(x), dtype=bool)
+    return np.any(is_nonzero, axis=0) if is_nonzero else np.ones(len(x), dtype=bool)
 
 
 class PredictiveMoments(NamedTuple):
@@ -367,15 +363,15 @@ def compute_predictive_moments(
     """Return predictive moments of readings, including noise on inputs and deviations of unseen members (code −1).
 
     Draws are evaluated in chunks; moments are sums of differences to the first draw, against cancellation. `noise` maps
-    the draws' residuals (b, n) to the conditional mean (b, n) and variance (n,) of correlated noise. The mean is that
-    of each draw: readings determine the sum of a constant coefficient and slow noise, not each of them.
+    the draws' residuals (b, n) to the conditional mean (b, n) and variance (n,) of correlated noise. That mean differs
+    between draws, since readings determine only the sum of a constant coefficient and slow noise.
     """
-    count, size = len(draws.x), problem.record.size
-    offset_sum, offset_squares, noise_sum, input_variance = np.zeros((4, size))
+    count, reading_count = len(draws.x), problem.record.size
+    offset_sum, offset_squares, noise_sum, input_variance = np.zeros((4, reading_count))
     offset0: Any = None
     terms = [t for t in problem.terms if t.place == "input" or _is_unseen(problem, t).any()]
-    for _, sample, hyper in _iterate_chunks(problem, draws):
-        mean, sds = _compute_mean_and_input_sds(problem, sample, hyper, terms)
+    for _, chunk_draws, hyper in _iterate_chunks(problem, draws):
+        mean, sds = _compute_mean_and_input_sds(problem, chunk_draws, hyper, terms)
         noise_var = variances(problem.noise, hyper, problem.record)
         if noise is not None:
             noise_mean, conditional_var = noise(problem.record.y - mean)
@@ -385,10 +381,10 @@ def compute_predictive_moments(
         offset = mean - offset0
         offset_sum += np.sum(offset, axis=0)
         offset_squares += np.einsum("bn,bn->n", offset, offset)
-        noise_sum += len(sample.x) * np.mean(noise_var, axis=0)
+        noise_sum += len(chunk_draws.x) * np.mean(noise_var, axis=0)
         if sds:
             input_squares = np.broadcast_to(sum(s**2 for s in sds), mean.shape)
-            input_variance += len(sample.x) * np.mean(input_squares, axis=0)
+            input_variance += len(chunk_draws.x) * np.mean(input_squares, axis=0)
     offset = offset_sum / count
     variance = np.maximum(offset_squares / count - offset**2, 0.0)
     return PredictiveMoments(offset0 + offset, variance, noise_sum / count, input_variance / count)
@@ -398,22 +394,22 @@ def compute_predictive_moments(
 def replicate(
     problem: Problem,
     draws: FlatDraws,
-    random: np.random.Generator,
-    members: Mapping[str, np.ndarray] | None = None,
+    rng: np.random.Generator,
+    member_codes: Mapping[str, np.ndarray] | None = None,
 ) -> Float[np.ndarray, "b n"]:
     """Simulate readings by the measurement equation and the noise model, once from each draw.
 
-    Deviations of unseen group members are drawn from their prior; `members`: each reading's member code (n,) by group.
+    Deviations of unseen group members are drawn from their prior; `member_codes`: (n,), by group.
     """
-    outputs, members = np.empty((len(draws.x), problem.record.size)), members or {}
-    uncertain_terms = [t for t in problem.terms if t.place == "input" or t.per in members]
-    for chunk, sample, hyper in _iterate_chunks(problem, draws):
-        mean, sds = _compute_mean_and_input_sds(problem, sample, hyper, uncertain_terms)
+    outputs, member_codes = np.empty((len(draws.x), problem.record.size)), member_codes or {}
+    uncertain_terms = [t for t in problem.terms if t.place == "input" or t.per in member_codes]
+    for chunk, chunk_draws, hyper in _iterate_chunks(problem, draws):
+        mean, sds = _compute_mean_and_input_sds(problem, chunk_draws, hyper, uncertain_terms)
         for t, sd in zip(uncertain_terms, sds, strict=True):
-            codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.per)]
-            normal = random.standard_normal((len(mean), int(codes.max()) + 2))
-            mean = mean + sd * normal[:, codes]  # code −1 indexes the last column
-        seed = int(random.integers(2**31))
+            codes = np.arange(mean.shape[1]) if t.place == "input" else member_codes[str(t.per)]
+            deviates = rng.standard_normal((len(mean), int(codes.max()) + 2))
+            mean = mean + sd * deviates[:, codes]  # code −1 indexes the last column
+        seed = int(rng.integers(2**31))
         outputs[chunk] = draw_samples(problem.noise, problem.record, mean, hyper, seed)
     return outputs
 
@@ -423,10 +419,10 @@ def _iterate_chunks(problem: Problem, draws: FlatDraws) -> Iterator[tuple[slice,
     count = max(1, MAX_CELLS // max(1, problem.record.size))
     for start in range(0, len(draws.x), count):
         chunk = slice(start, start + count)
-        sample = FlatDraws(draws.x[chunk], draws.v[chunk])
-        values = problem.hyper(sample.v.T)
-        parameters = {k: np.broadcast_to(value, len(sample.x)) for k, value in values.items()}
-        yield chunk, sample, parameters
+        chunk_draws = FlatDraws(draws.x[chunk], draws.v[chunk])
+        values = problem.hyper(chunk_draws.v.T)
+        parameters = {k: np.broadcast_to(value, len(chunk_draws.x)) for k, value in values.items()}
+        yield chunk, chunk_draws, parameters
 
 
 def _compute_mean_and_input_sds(

@@ -130,8 +130,8 @@ def find_contradicted_priors(subject: Subject) -> list[Claim]:
 
 def _check_priors(subject: Subject, values: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
     """Yield claims on estimates far from their prior means; `values`: name → (estimate, half-width of its interval)."""
-    baseline = {e.name for e in subject.fit.model.instrument.effects}
-    max_coefficients, far_sd = limit(PRIOR_CODE, "coefficients"), limit(PRIOR_CODE, "sd")
+    baseline_names = {e.name for e in subject.fit.model.instrument.effects}
+    max_coefficients, max_z = limit(PRIOR_CODE, "coefficients"), limit(PRIOR_CODE, "sd")
     for u in subject.fit.unknowns:
         if u.block is None or u.prior_sd is None or u.held:
             continue
@@ -140,8 +140,8 @@ def _check_priors(subject: Subject, values: Mapping[str, tuple[float, float]]) -
             continue
         value, half_width = values.get(u.name, (c.mean, 0.0))
         z = abs(value - c.mean) / c.size
-        size_factor = 1 if effect.name in baseline else limit(PRIOR_CODE, "candidate_sizes")
-        if z - half_width / c.size > far_sd * size_factor:
+        size_factor = 1 if effect.name in baseline_names else limit(PRIOR_CODE, "candidate_sizes")
+        if z - half_width / c.size > max_z * size_factor:
             cure = "scale" if effect.slot.partition("_")[0] == "scale" else "zero and scale"
             numbers = {"where": value, "mean": c.mean, "size": c.size, "unit": c.unit, "away": z}
             numbers |= {"fall": 0.5 * z**2, "cure": cure if effect.kind == "constant" else "units"}
@@ -162,19 +162,19 @@ def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
 
 def find_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
     """Yield a claim for each noise amplitude and between-group standard deviation that exceeds the output's range."""
-    fit, sds = subject.fit, set(subject.fit.model.noise.amplitudes)
+    fit, sd_names = subject.fit, set(subject.fit.model.noise.amplitudes)
     for effect in fit.model.effects:
         for i, c in enumerate(effect.coefficients):
             if fit.model.instrument.slot(c.slot or effect.slot).unit == fit.unit:
-                sds.add(effect.group_sd_name(i))
+                sd_names.add(effect.group_sd_name(i))
     # An amplitude that scales coefficients is weakly identified: `implausible_curves` tests its effect instead.
-    sds -= {e.measure_name for e in fit.model.effects}
-    span = float(np.ptp(fit.readings["output"]))
+    sd_names -= {e.measure_name for e in fit.model.effects}
+    output_range = float(np.ptp(fit.readings["output"]))
     for row in summary(fit)[1]:
         name, mean = row["name"], row["mean"]
-        is_beyond = name in sds and row["unit"] == fit.unit and mean > span > 0
-        if is_beyond and not subject.accepts(name, row["effect"]):
-            yield Claim("size.beyond_output", name, mean=mean, reach=span, unit=fit.unit)
+        exceeds_range = name in sd_names and row["unit"] == fit.unit and mean > output_range > 0
+        if exceeds_range and not subject.accepts(name, row["effect"]):
+            yield Claim("size.beyond_output", name, mean=mean, reach=output_range, unit=fit.unit)
 
 
 def find_implausible_curves(subject: Subject) -> Iterator[Claim]:
@@ -215,10 +215,10 @@ def find_implausible_members(subject: Subject) -> Iterator[Claim]:
         if c.group_sd is None or b.effect.weights is not None or not members:
             continue
         name = max(members, key=lambda n: abs(means[n] - c.mean))
-        distance = abs(means[name] - c.mean) / c.size
-        if distance > limit("group.too_different", "sizes"):
+        deviation = abs(means[name] - c.mean) / c.size
+        if deviation > limit("group.too_different", "sizes"):
             numbers = {"where": means[name], "mean": c.mean, "size": c.size, "unit": c.unit}
-            member_numbers = {"member": name, "group": c.per, "away": distance}
+            member_numbers = {"member": name, "group": c.per, "away": deviation}
             yield Claim("group.too_different", b.effect.name, **member_numbers, **numbers)
 
 
@@ -315,11 +315,11 @@ def multimodality(fit: Fitted) -> list[Claim]:
     guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:MAX_STARTS]]:
         floor = mode.log_density - 20.0
-        other_mode = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, guess=guess)
-        log_bayes_factor = mode.log_evidence - other_mode.log_evidence
-        if is_far(other_mode.v).any() and log_bayes_factor < limit("mode.two", "nats"):
-            names = [problem.hypers[i].name for i in np.array(shapes)[is_far(other_mode.v)]]
-            phi, phi2 = problem.hyper(mode.v), problem.hyper(other_mode.v)
+        second_mode = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, guess=guess)
+        log_bayes_factor = mode.log_evidence - second_mode.log_evidence
+        if is_far(second_mode.v).any() and log_bayes_factor < limit("mode.two", "nats"):
+            names = [problem.hypers[i].name for i in np.array(shapes)[is_far(second_mode.v)]]
+            phi, phi2 = problem.hyper(mode.v), problem.hyper(second_mode.v)
             units = {h.name: h.unit for h in problem.hypers}
             values = tuple(f"{n} {number(phi[n])} or {number(phi2[n])} {units[n]}" for n in names)
             return [Claim("mode.two", *names, behind=log_bayes_factor, values=values)]
@@ -397,9 +397,9 @@ def find_nonnormality(subject: Subject) -> Iterator[Claim]:
         yield Claim("noise.one_sided", p=check.one_sided)
     elif check.pit_p < threshold:
         outlier_text = f", {len(check.outliers)} of them outliers" if check.outliers else ""
-        cure = "heavy" if check.excess_kurtosis > 0 else "light"
-        cure = "missing" if depends_on_covariate(subject) else cure
-        yield Claim("noise.tails", p=check.pit_p, outside=outlier_text, cure=cure)
+        remedy = "heavy" if check.excess_kurtosis > 0 else "light"
+        remedy = "missing" if depends_on_covariate(subject) else remedy
+        yield Claim("noise.tails", p=check.pit_p, outside=outlier_text, cure=remedy)
 
 
 def depends_on_covariate(subject: Subject) -> bool:

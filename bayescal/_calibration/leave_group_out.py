@@ -67,10 +67,10 @@ class RecordSubset(Record):
         order, time_steps = parent.time_order
         row_number = np.full(parent.size, -1)
         row_number[rows] = np.arange(len(rows))
-        in_time = np.flatnonzero(row_number[order] >= 0)
-        subset_steps = np.diff(np.cumsum(np.maximum(time_steps, 0.0))[in_time], prepend=0.0)
-        subset_steps[np.diff(np.cumsum(time_steps < 0)[in_time], prepend=-1) != 0] = -1.0
-        frame = parent.frame.reorder(rows, row_number[order[in_time]], subset_steps)
+        positions = np.flatnonzero(row_number[order] >= 0)
+        subset_steps = np.diff(np.cumsum(np.maximum(time_steps, 0.0))[positions], prepend=0.0)
+        subset_steps[np.diff(np.cumsum(time_steps < 0)[positions], prepend=-1) != 0] = -1.0
+        frame = parent.frame.reorder(rows, row_number[order[positions]], subset_steps)
         super().__init__(parent.instrument, frame, parent.y[rows])
         self.parent, self.rows = parent, rows
 
@@ -99,9 +99,9 @@ class RecordSubset(Record):
         """Return values on the full record, zero outside the subset."""
         full_values = {}
         for name, value in values.items():
-            broadcast = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
-            full_values[name] = np.zeros((*broadcast.shape[:-1], self.parent.size))
-            full_values[name][..., self.rows] = broadcast
+            subset_values = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
+            full_values[name] = np.zeros((*subset_values.shape[:-1], self.parent.size))
+            full_values[name][..., self.rows] = subset_values
         return full_values
 
 
@@ -111,7 +111,7 @@ def scheme(group: str) -> str:
 
 
 def choose_groups(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
-    """Choose the groups to leave out: devices, runs, cells, or blocks in time or order; return kind, names, codes."""
+    """Choose groups to leave out (devices, runs, cells, or blocks in time or order); return kind, names, codes (n,)."""
     for name in ("device", "run", "cell"):
         levels, codes = readings.groups(name)
         if len(levels) >= 2 and (codes >= 0).all():
@@ -131,18 +131,18 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
     kind, members, codes = choose_groups(calibration.readings)
     mode, problem = calibration.mode, calibration.problem
     scores, error_ratio, p_value = np.full((3, len(members)), np.nan)
-    residual, model_var = np.full((2, len(codes)), np.nan)
+    residual, output_variance = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
-        left_out = np.flatnonzero(codes == i)
-        fold = _predict_fold(problem, mode, np.flatnonzero(codes != i), left_out)
+        test_rows = np.flatnonzero(codes == i)
+        fold = _predict_fold(problem, mode, np.flatnonzero(codes != i), test_rows)
         if fold is None:
             continue
-        scores[i], residual[left_out], model_var[left_out], squares, spectrum = fold
-        if len(left_out) >= MIN_GROUP_READINGS:
-            counts = len(codes) - len(left_out), len(members) - 1
+        scores[i], residual[test_rows], output_variance[test_rows], squares, spectrum = fold
+        if len(test_rows) >= MIN_GROUP_READINGS:
+            counts = len(codes) - len(test_rows), len(members) - 1
             error_ratio[i] = math.sqrt(squares / spectrum.sum())
             p_value[i] = _compute_p_value(squares, spectrum, *counts)
-    variance = calibration.linear.variance + model_var
+    variance = calibration.linear.variance + output_variance
     return LeaveOneGroupOut(kind, members, scores, residual, error_ratio, p_value, variance)
 
 
@@ -155,21 +155,22 @@ def _compute_p_value(squares: float, spectrum: np.ndarray, readings: int, groups
     """
     # Relative to Σλ, whose square may overflow.
     trace = float(spectrum.sum())
-    spectrum_freedom = 1 / float(np.sum((spectrum / trace) ** 2))
+    spectrum_dof = 1 / float(np.sum((spectrum / trace) ** 2))
     noise_share = len(spectrum) / trace
-    estimate_freedom = 1 / (noise_share**2 / readings + (1 - noise_share) ** 2 / max(groups - 1, 1))
-    return float(fdtrc(spectrum_freedom, estimate_freedom, squares / trace))
+    estimate_dof = 1 / (noise_share**2 / readings + (1 - noise_share) ** 2 / max(groups - 1, 1))
+    return float(fdtrc(spectrum_dof, estimate_dof, squares / trace))
 
 
 def _predict_fold(
-    problem: Problem, mode: Mode, training: np.ndarray, left_out: np.ndarray
+    problem: Problem, mode: Mode, training_rows: np.ndarray, test_rows: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float, np.ndarray] | None:
     """Predict the left-out readings from the others; return None if a posterior of the coefficients is undefined.
 
-    Returns log predictive density, errors, variance of expected outputs, whitened rss and its covariance's eigenvalues.
+    Returns log predictive density, errors, variance of the expected outputs, and of the whitened errors the sum of
+    squares and the eigenvalues of their covariance.
     """
-    subsets = (RecordSubset(problem.record, rows) for rows in (training, left_out))
-    problems = (Problem(problem.layout, part, problem.size_factors) for part in subsets)
+    subsets = (RecordSubset(problem.record, rows) for rows in (training_rows, test_rows))
+    problems = (Problem(problem.layout, subset, problem.size_factors) for subset in subsets)
     guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
     fitted, test_density = (Density(p, mode.x, mode.flat, mode.v, guess=guess) for p in problems)
     # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
@@ -184,20 +185,20 @@ def _predict_fold(
     if predicted_moments is None or max_sd_moments is None:
         return None
     zeros, ones = np.zeros(len(mode.x)), np.ones(len(mode.x))
-    joint_normal = condition(predicted_moments[1], len(left_out), Prior(zeros, ones, ones), zeros)
+    joint_normal = condition(predicted_moments[1], len(test_rows), Prior(zeros, ones, ones), zeros)
     # Eigenvalues of I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: 1 plus those of Lᵀ·Aᵀ·A·L.
-    spectrum = np.ones(len(left_out))
-    eigenvalues = np.sort(np.linalg.eigvalsh(max_sd_moments[1].jtj))[::-1][: len(left_out)]
+    spectrum = np.ones(len(test_rows))
+    eigenvalues = np.sort(np.linalg.eigvalsh(max_sd_moments[1].jtj))[::-1][: len(test_rows)]
     spectrum[: len(eigenvalues)] += np.maximum(eigenvalues, 0.0)
     score = np.nan if joint_normal is None else joint_normal.log_marginal
     return score, predicted_moments[0], max_sd_moments[2], max_sd_moments[1].rtr, spectrum
 
 
 def _compute_held_out_moments(
-    training: Density, test_density: Density, v: np.ndarray
+    training_density: Density, test_density: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
-    """Return errors of left-out readings, their whitened Gram matrix, and the variance of the expected outputs."""
-    posterior = training.condition_at(v)[1]
+    """Return left-out readings' errors, whitened Gram matrix, and variance of expected outputs; None if undefined."""
+    posterior = training_density.condition_at(v)[1]
     if posterior is None:
         return None
     residuals, whitened, logdet = test_density.whiten_at(v, posterior.mean)

@@ -26,8 +26,8 @@ from bayescal._model.terms import ColumnSpec
 MIN_WHITE_SHARE = 1e-12  # smallest white share of the noise variance
 MAX_REPLICATES = 1000  # gives p-values a resolution of 0.001
 MAX_REPLICATED_CELLS = 10_000_000  # replicates × readings in memory
-TINY_SQUARE = 1e-300  # floor of a sum of squares
-NO_PAST = np.zeros(0, dtype=int)  # rows of fitted readings that precede a new run: none
+MIN_SQUARES = 1e-300  # floor of a sum of squares
+NO_PAST_ROWS = np.zeros(0, dtype=int)  # rows of fitted readings that precede a new run: none
 RANK_TOLERANCE = 1e-8  # singular values below this share of the largest are rounding
 
 
@@ -87,11 +87,11 @@ def predict(
     calibration.model.require(readings)
     readings = calibration.on_clock(readings)
 
-    def predict_frame(part: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
+    def predict_frame(part: Measurements, frame: Frame, past_rows: np.ndarray) -> np.ndarray:
         """Return rows (3, n), output unit: residual, standard uncertainty of the expected output, and of a reading."""
         problem, noise = calibration.problem_on(frame), None
-        if len(past) and not calibration.model.noise.independent:
-            noise = _condition_noise(calibration, part, frame, past)
+        if len(past_rows) and not calibration.model.noise.independent:
+            noise = _condition_noise(calibration, part, frame, past_rows)
         moments = compute_predictive_moments(problem, calibration.draws(draws), noise)
         model_var = calibration.form_factor**2 * moments.variance + moments.unknown
         model_var += _compute_unseen_member_variance(calibration, problem)
@@ -103,7 +103,7 @@ def predict(
     else:
         frame = calibration.frame_of(readings)
         frame = _mark_as_new(frame) if new_groups else frame
-        residual, model_sd, sd = predict_frame(readings, frame, NO_PAST)
+        residual, model_sd, sd = predict_frame(readings, frame, NO_PAST_ROWS)
     return Prediction(readings["output"] - residual, model_sd, sd, residual)
 
 
@@ -132,22 +132,23 @@ def _evaluate_with_past(
 ) -> Float[np.ndarray, "k n"]:
     """Evaluate a function at new readings, with the fitted readings that precede them; return its values (k, n).
 
-    Readings that continue a fitted run are appended to it; others start new runs. evaluate(readings, frame, past rows).
+    Readings that continue a fitted run are appended to it; others start new runs. `evaluate` takes readings, their
+    frame, and the row numbers of the fitted readings among them.
     """
-    fitted = calibration.readings
-    runs = fitted.find_continuations(readings)
+    fit_readings = calibration.readings
+    runs = fit_readings.find_continuations(readings)
     if not runs:
-        return evaluate(readings, _mark_as_new(calibration.frame_of(readings)), NO_PAST)
+        return evaluate(readings, _mark_as_new(calibration.frame_of(readings)), NO_PAST_ROWS)
     rows = np.sort(np.concatenate([*runs.values()]))
-    codes = [fitted.records.names.index(name) for name in runs]
-    past_rows = np.flatnonzero(np.isin(fitted.records.codes, codes))
-    record = fitted.select(past_rows).concatenate(readings.select(rows))
+    codes = [fit_readings.records.names.index(name) for name in runs]
+    past_rows = np.flatnonzero(np.isin(fit_readings.records.codes, codes))
+    record = fit_readings.select(past_rows).concatenate(readings.select(rows))
     run_values = evaluate(record, calibration.frame_of(record), past_rows)[:, len(past_rows) :]
     columns = np.empty((len(run_values), len(readings)))
     columns[:, rows] = run_values
     if len(new_rows := np.setdiff1d(np.arange(len(readings)), rows)):
         new = readings.select(new_rows)
-        columns[:, new_rows] = evaluate(new, _mark_as_new(calibration.frame_of(new)), NO_PAST)
+        columns[:, new_rows] = evaluate(new, _mark_as_new(calibration.frame_of(new)), NO_PAST_ROWS)
     return columns
 
 
@@ -190,7 +191,7 @@ class HoldoutContradiction:
     """Score test and scatter of a fit on hold-out data."""
 
     p: float  # p-value of the score test of the coefficients
-    ratio: float  # hold-out rms error over that after fitting coefficients and deviations to it
+    ratio: float  # hold-out rms error over that after fitting coefficients and deviations to the hold-out data
     scatter: float  # rms error after that fit over its expectation
     coefficient: str  # the coefficient with the largest single score; empty if there is none
 
@@ -228,15 +229,15 @@ class HoldoutTest:
         full_basis = _orthonormal_basis([*common_columns, *members], len(errors))
         score, simulated = basis.T @ errors, expected @ basis
         covariance = np.atleast_2d(np.cov(simulated.T)) if basis.shape[1] else np.zeros((0, 0))
-        inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
-        statistics = np.einsum("bi,ij,bj->b", simulated, inverse, simulated)
-        p = _compute_p_value(statistics >= score @ inverse @ score)
-        remainder = max(_sum_squares(errors - full_basis @ (full_basis.T @ errors)), TINY_SQUARE)
+        precision = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+        statistics = np.einsum("bi,ij,bj->b", simulated, precision, simulated)
+        p = _compute_p_value(statistics >= score @ precision @ score)
+        remainder = max(_sum_squares(errors - full_basis @ (full_basis.T @ errors)), MIN_SQUARES)
         median_square = np.median(_sum_squares(expected - (expected @ full_basis) @ full_basis.T))
-        scatter = math.sqrt(remainder / max(float(median_square), TINY_SQUARE))
+        scatter = math.sqrt(remainder / max(float(median_square), MIN_SQUARES))
         ratio = math.sqrt(float(_sum_squares(errors)) / remainder)
         scores = {
-            name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY_SQUARE)
+            name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), MIN_SQUARES)
             for name, per, column in columns
             if per is None
         }
@@ -250,11 +251,11 @@ class HoldoutTest:
         errors exceeds this one's by δᵀδ + 2δᵀe, of which only δᵀe is random.
         """
         errors, expected = self._errors
-        difference = (self.prediction.mean - other.prediction.mean) / self._noise
+        difference = (self.prediction.mean - other.prediction.mean) / self._sd
         return _compute_p_value(expected @ difference <= errors @ difference)
 
     @cached_property
-    def _noise(self) -> Float[np.ndarray, "n"]:
+    def _sd(self) -> Float[np.ndarray, "n"]:
         """Return the standard deviation of the noise, output unit."""
         p = self.prediction
         return np.sqrt(np.maximum(p.sd**2 - p.model_sd**2, 1e-12 * p.sd**2))
@@ -273,23 +274,23 @@ class HoldoutTest:
         drawn from their prior. Correlated noise is independent of the fitted readings.
         """
         (average, problem), seed = self._problem, self.calibration.seed
-        random, member_random = np.random.default_rng(seed), np.random.default_rng(0)
+        rng, member_rng = np.random.default_rng(seed), np.random.default_rng(0)
         count = max(100, min(MAX_REPLICATES, MAX_REPLICATED_CELLS // max(len(self.readings), 1)))
         draws = average.draws(count)
 
         def evaluate(part: Measurements, frame: Frame, _: np.ndarray) -> np.ndarray:
             members = {per: part.groups(per)[1] for per in frame.codes}
-            outputs = replicate(average.problem_on(frame), draws, random, members)
+            outputs = replicate(average.problem_on(frame), draws, rng, members)
             return outputs + (part["output"] - frame["output"])
 
         outputs = _evaluate_with_past(average, average.on_clock(self.readings), evaluate)
         # Contributions of group deviations that the fit lacks.
         for effect, sd in self.deviations:
             codes = self.readings.groups(str(effect.coefficients[0].per))[1]
-            normal = member_random.standard_normal((len(outputs), int(codes.max()) + 2))[:, codes]
-            outputs += _sensitivities(average, problem, effect) * (sd * normal)
+            deviates = member_rng.standard_normal((len(outputs), int(codes.max()) + 2))[:, codes]
+            outputs += _sensitivities(average, problem, effect) * (sd * deviates)
         outputs -= outputs.mean(axis=0)
-        return self.prediction.residual / self._noise, outputs / self._noise
+        return self.prediction.residual / self._sd, outputs / self._sd
 
     @property
     @run_on_one_thread
@@ -301,13 +302,13 @@ class HoldoutTest:
         gradients = problem.expected_with_slopes(
             x.mean(axis=0)[None], problem.hyper(v.mean(axis=0)), terms
         )[1]
-        columns = (np.broadcast_to(g, (1, len(self._noise)))[0] / self._noise for g in gradients)
+        columns = (np.broadcast_to(g, (1, len(self._sd)))[0] / self._sd for g in gradients)
         names = (t.effect.coefficient_name(t.index) for t in terms)
         return [(n, t.per, c) for n, t, c in zip(names, terms, columns, strict=True)]
 
 
 def _orthonormal_basis(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, "n k"]:
-    """Return an orthonormal basis of the columns' span."""
+    """Return an orthonormal basis (size, k) of the columns' span."""
     unit_columns = [c / length for c in columns if (length := float(np.linalg.norm(c))) > 0]
     if not unit_columns:
         return np.zeros((size, 0))

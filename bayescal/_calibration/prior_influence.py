@@ -35,21 +35,21 @@ def variance_by_origin(
     directions that neither readings nor priors determine.
     """
     layout, linear = calibration.layout, calibration.linear
-    nonlinear = layout.nonlinear_phi
-    weights = np.zeros(layout.size + len(nonlinear))
+    nonlinear_indices = layout.nonlinear_phi
+    weights = np.zeros(layout.size + len(nonlinear_indices))
     for u in (u for u in calibration.unknowns if u.name in sensitivities):
         if u.x is not None:
             weights[u.x] = sensitivities[u.name]
-        elif u.v in nonlinear:
-            unit = float(slope(layout.hypers[u.v].prior, calibration.mode.v[u.v]))
-            weights[layout.size + nonlinear.index(u.v)] = sensitivities[u.name] * unit
-    projected = linear.root @ (linear.root.T @ (weights * linear.sd))  # in units of the priors
+        elif u.v in nonlinear_indices:
+            unit_slope = float(slope(layout.hypers[u.v].prior, calibration.mode.v[u.v]))
+            weights[layout.size + nonlinear_indices.index(u.v)] = sensitivities[u.name] * unit_slope
+    projection = linear.root @ (linear.root.T @ (weights * linear.sd))  # in units of the priors
     names = [b.name for b in layout.x_blocks for _ in range(b.size)]
-    names += [layout.hypers[i].name for i in nonlinear]
+    names += [layout.hypers[i].name for i in nonlinear_indices]
     prior_variances = defaultdict[str, float](float)
-    for name, value in zip(names, linear.weight * projected**2, strict=True):
+    for name, value in zip(names, linear.weight * projection**2, strict=True):
         prior_variances[name] += float(value)
-    readings_variance = float(np.sum((linear.white_nuisance @ projected) ** 2))
+    readings_variance = float(np.sum((linear.white_nuisance @ projection) ** 2))
     return readings_variance, {n: value for n, value in prior_variances.items() if value > 0}
 
 
@@ -77,8 +77,8 @@ class PriorDominance:
         if not coefficients:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in coefficients]
-        present_by_draw = [calibration.inclusion_masks[u.effect] for u, _ in coefficients]
-        unknowns, presence, quantity = np.array(draws).T, np.array(present_by_draw).T, values.copy()
+        presence_masks = [calibration.inclusion_masks[u.effect] for u, _ in coefficients]
+        unknowns, presence, quantity = np.array(draws).T, np.array(presence_masks).T, values.copy()
         for pattern in np.unique(presence, axis=0):  # structures of a model average
             has_pattern = np.all(presence == pattern, axis=1)
             pattern_draws = unknowns[has_pattern][:, pattern]
@@ -121,9 +121,9 @@ def find_prior_dominance(
     if unknown is not None and unknown.prior is not None:
         # A positive unknown is measured if its variance is halved on a linear scale (near zero) or a logarithmic one.
         samples, prior_sd = calibration.samples(name), unknown.prior_sd
-        linear = prior_sd is not None and 2 * samples.var() <= prior_sd**2
+        is_halved = prior_sd is not None and 2 * samples.var() <= prior_sd**2
         v = calibration.draws().v[:, unknown.v]
-        if linear or 2 * np.var(v) <= unknown.prior.coordinate_variance:
+        if is_halved or 2 * np.var(v) <= unknown.prior.coordinate_variance:
             return None
         prior_words = _format_unknown(unknown, samples)
         return PriorDominance((name,), prior_words, "To measure it, take more readings", True)
@@ -142,8 +142,8 @@ def find_prior_dominance(
         is_counted.append(is_used or u.name == name)
     if not any(is_counted):
         return None
-    share_matrix = np.array(shares)
-    worst_shares = share_matrix[:, int(np.argmax(share_matrix[is_counted].sum(axis=0)))]
+    shares_at_points = np.array(shares)
+    worst_shares = shares_at_points[:, int(np.argmax(shares_at_points[is_counted].sum(axis=0)))]
     if worst_shares[is_counted].sum() <= 0.5:  # readings contribute more than priors
         return None
     indices = np.flatnonzero(worst_shares >= min(CONCERNED_SHARE, worst_shares[is_counted].max()))

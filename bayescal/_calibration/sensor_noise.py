@@ -60,12 +60,12 @@ REQUIRED_Z = 6.0
 # Steepest slope of the Allan deviation over two octaves that counts as −½. After a low-pass of time constant T it is
 # reached by means over 3.4·T, of which only neighbours have a correlation above 0.01.
 WHITE_SLOPE = -0.35
-MIN_MEANS = 64  # number of means for an Allan slope known to 0.1
+MIN_MEAN_COUNT = 64  # number of means for an Allan slope known to 0.1
 MAX_SHORT_STEPS = 3.0  # correlation time in steps, up to which a process is part of N
 
 Terms = tuple[str, ...]  # names of a sum's terms, besides white noise
 CURVE_DEGREE = 3  # of the polynomial in temperature
-IMPUTATIONS = 6  # number of imputations of lost readings; the first is burn-in
+IMPUTATION_COUNT = 6  # number of imputations of lost readings; the first is burn-in
 SLOW_TERMS = ("walk", "flicker", "correlated")  # a sum has two of them at most
 NO_PAIRS = (("walk", "walk"), ("flicker", "flicker"))  # pairs of slow terms that no sum has
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
@@ -73,8 +73,8 @@ TONE_RMS, TONE_FREQ, TONE_TIME = TONE
 QUANTISATION, AVERAGING = "quantisation", "averaging"  # terms that correlate neighbours only
 # Weights of values at lags 2 to 6 in the extrapolation of their regression line to lag 1.
 LAG_WEIGHTS = 0.2 - 0.3 * np.arange(-2, 3)
-MIN_WINDOW = 64  # readings in the shortest window of the search for a line; lengths double
-MIN_WINDOWS = 8  # smallest number of windows, at the longest length
+MIN_WINDOW_LENGTH = 64  # readings in the shortest window of the search for a line; lengths double
+MIN_WINDOW_COUNT = 8  # smallest number of windows, at the longest length
 # Frequency offsets of a line's background, in bins; the half-width of the window's main lobe is 2.
 LINE_OFFSETS = np.array([3, 4, 5, 6])
 MAX_PHASE_BLOCKS = 256  # number of blocks of a run in which the phase of a line is computed
@@ -166,21 +166,21 @@ class SensorNoise(Printed):
         sum_texts = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= MIN_PROBABILITY
         ]
-        texts = [f"Not to be used as they are. {c}" for c in self.claims if c.severity != "note"]
-        heading = "term" + " of a law that does not fit" * bool(texts)
-        terms = make_table([heading, "value", "95 % interval", "SI"], rows, width=40)
-        prefix = "Best noise law, which does not fit" if texts else "Noise law (probability)"
-        remarks = [*texts, f"{prefix}: {', '.join(sum_texts[:MAX_PRINTED_SUMS])}."]
+        warnings = [f"Not to be used as they are. {c}" for c in self.claims if c.severity != "note"]
+        heading = "term" + " of a law that does not fit" * bool(warnings)
+        table = make_table([heading, "value", "95 % interval", "SI"], rows, width=40)
+        prefix = "Best noise law, which does not fit" if warnings else "Noise law (probability)"
+        remarks = [*warnings, f"{prefix}: {', '.join(sum_texts[:MAX_PRINTED_SUMS])}."]
         remarks += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
         m, unit = self.measured, unit_label(self.unit) or "1"
         header = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of simulated records"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
-        curve = [
+        curve_rows = [
             [number(t), number(d), number(e), f"{number(a)} to {number(b)}"]
             for t, d, e, a, b in zip(*columns, strict=True)
         ]
         lines = [line for note in remarks for line in ("", wrap(note, ""))]
-        return [terms, *lines, "", make_table(header, curve, left=0)]
+        return [table, *lines, "", make_table(header, curve_rows, left=0)]
 
     def _format_summary(self) -> str:
         figures = (f"{f.symbol} {f.row()[1] or f.row()[2]}" for f in self.figures)
@@ -235,7 +235,8 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         time_limit: seconds, after which only the sums fitted so far are used, with a note; Ctrl-C does the same.
 
     Raises:
-        InputError: several devices, no column `time`, no run of 30 readings, uneven steps, or output rounded coarsely.
+        InputError: several devices or axes, no column `time`, no run of 30 readings, uneven steps, or an output that is
+            constant or rounded coarsely.
     """
     for group in ("device", "axis"):
         if len(levels := readings.groups(group)[0]) > 1:
@@ -250,9 +251,9 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in fits.noises])
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
-    edf = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
-    estimates = np.sqrt(draws * np.random.default_rng(seed).chisquare(edf, draws.shape) / edf)
-    estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
+    dof = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
+    simulated = np.sqrt(draws * np.random.default_rng(seed).chisquare(dof, draws.shape) / dof)
+    estimate_low, estimate_high = np.quantile(simulated, [tail, 1 - tail], axis=0)
     claims, step = list(fits.claims), runs.step / (fits.count or 1)
     if fits.count is None:
         claims.insert(0, Claim("noise.no_level", "N", name=allan.data_sheet_terms(unit).names[0]))
@@ -276,7 +277,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         estimate_low=estimate_low,
         estimate_high=estimate_high,
         claims=tuple(claims),
-        densities=_filter_densities(fits),
+        densities=_find_filter_densities(fits),
         horizon=float(runs.factors[-1] * runs.step),
     )
 
@@ -364,10 +365,10 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     z, line = _find_line(output, runs)
     count = _count_readings_per_mean(output, runs, z, line)
     # Means over times much longer than a correlation time are white, except for correlated neighbours.
-    base: Terms = ()
+    base_terms: Terms = ()
     if count is not None and count > 1:
         readings, runs = _average(readings, runs, count)
-        base = (AVERAGING,)
+        base_terms = (AVERAGING,)
         columns, output, scale, claims = _list_columns(readings, runs)
         z, line = _find_line(output, runs)
     if not scale > 0:
@@ -377,27 +378,27 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         )
     run_columns = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
     criteria = {"tone": (z, LINE_Z)}
-    if not base:
+    if not base_terms:
         negative_z = _compute_negative_correlation_z(output, runs)
         criteria[QUANTISATION if negative_z > 0 else AVERAGING] = abs(negative_z), NEIGHBOUR_Z
-    optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
-    required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
+    optional_terms = tuple(term for term, (z_score, limit) in criteria.items() if z_score > limit)
+    required_terms = tuple(term for term in optional_terms if criteria[term][0] > REQUIRED_Z)
     allan_variances, _ = allan.allan_variances(output, runs)
     max_duration = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
     channel_fields = scale, max_duration, runs.factors * runs.step, allan_variances, line
-    walk = math.sqrt(3 * allan_variances[-1] / (runs.factors[-1] * runs.step))
-    parameters = {WHITE: np.full((1, 1), scale), "noise.walk": np.full((1, 1), walk)}
+    walk_density = math.sqrt(3 * allan_variances[-1] / (runs.factors[-1] * runs.step))
+    parameters = {WHITE: np.full((1, 1), scale), "noise.walk": np.full((1, 1), walk_density)}
     model = SummedNoise(runs.step, max_duration, ("walk",))
-    random, weights = np.random.default_rng(seed), Counter[Terms]()
+    rng, sum_weights = np.random.default_rng(seed), Counter[Terms]()
     imputations, time_limit = list[tuple[list[RestNoise], dict[Terms, float]]](), deadline.current()
     time_limit.defer_interrupt()
-    for k in range(IMPUTATIONS if runs.lost else 1):
-        imputed = [_impute_run(run, model, parameters, runs.step, random) for run in run_columns]
-        lines = [line[TONE_FREQ]] if "tone" in optional else []
-        channel = _RestRecord(imputed, EvenSpectrum(imputed, runs.step, lines), *channel_fields)
-        fits: dict[Terms, GaussianFit] = {base: _fit_sum(channel, base, {})}
+    for k in range(IMPUTATION_COUNT if runs.lost else 1):
+        full_runs = [_impute_run(run, model, parameters, runs.step, rng) for run in run_columns]
+        lines = [line[TONE_FREQ]] if "tone" in optional_terms else []
+        channel = _RestRecord(full_runs, EvenSpectrum(full_runs, runs.step, lines), *channel_fields)
+        fits: dict[Terms, GaussianFit] = {base_terms: _fit_sum(channel, base_terms, {})}
         try:
-            for terms in _enumerate_sums(fits, base, optional, required):
+            for terms in _enumerate_sums(fits, base_terms, optional_terms, required_terms):
                 time_limit.raise_if_over()
                 fits[terms] = _fit_sum(channel, terms, fits)
         except deadline.TimeIsUp:
@@ -409,31 +410,31 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
             break
     residuals = columns[:, -1] - columns[:, :-1] @ channel.spectrum.regress(model, parameters)
     # The mixture over imputations of lost readings.
-    imputations = imputations[-(IMPUTATIONS - 1) :]
+    imputations = imputations[-(IMPUTATION_COUNT - 1) :]
     for _, probabilities in imputations:
-        weights.update({terms: p / len(imputations) for terms, p in probabilities.items()})
-    noises = [noise for models, _ in imputations for noise in models]
-    noises.sort(key=lambda noise: -weights[noise.model.terms])
-    probable_sums: dict[Terms, Any] = dict(weights.most_common())
+        sum_weights.update({terms: p / len(imputations) for terms, p in probabilities.items()})
+    noises = [noise for fitted_models, _ in imputations for noise in fitted_models]
+    noises.sort(key=lambda noise: -sum_weights[noise.model.terms])
+    probable_sums: dict[Terms, Any] = dict(sum_weights.most_common())
     return EvaluatedSums(noises, probable_sums, tuple(claims), readings, residuals, runs, count)
 
 
 def _enumerate_sums(
-    fits: Mapping[Terms, GaussianFit], base: Terms, optional: Terms, required: Terms
+    fits: Mapping[Terms, GaussianFit], base_terms: Terms, optional_terms: Terms, required: Terms
 ) -> Iterator[Terms]:
-    """Yield the sums to evaluate besides the smallest, `base`: up to two slow terms and a subset of `optional` terms.
+    """Yield the sums to evaluate besides the smallest, `base_terms`: up to two slow terms and a set of optional terms.
 
-    All but the smallest include the `required` terms. Finally the best sum is evaluated without each of these, because
+    All but the smallest include the required terms. Finally the best sum is evaluated without each of these, because
     noise that is correlated over a few readings resembles them.
     """
     pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in NO_PAIRS]
-    counts = range(len(optional) + 1)
-    subsets = [{*c, *required} for k in counts for c in itertools.combinations(optional, k)]
+    sizes = range(len(optional_terms) + 1)
+    subsets = [{*c, *required} for k in sizes for c in itertools.combinations(optional_terms, k)]
     slow_sums = [(), *((term,) for term in SLOW_TERMS), *pairs]
-    sums = {_sort_terms((*base, *s, *b)) for s in slow_sums for b in subsets} - {base}
+    sums = {_sort_terms((*base_terms, *s, *b)) for s in slow_sums for b in subsets} - {base_terms}
     yield from sorted(sums, key=lambda terms: (len(terms), terms))
-    best = next(iter(_compute_log_posteriors(fits)))
-    yield from {tuple(t for t in best if t != term) for term in required} - {*fits}
+    best_terms = next(iter(_compute_log_posteriors(fits)))
+    yield from {tuple(t for t in best_terms if t != term) for term in required} - {*fits}
 
 
 def _sample_sums(
@@ -449,24 +450,24 @@ def _sample_sums(
         samples[terms], fits[terms] = (v, weights), fits[terms]._replace(log_evidence=evidence)
 
     while True:
-        totals = _compute_log_posteriors(fits)
-        posterior = softmax(list(totals.values()))
-        probabilities = dict(zip(totals, posterior.tolist(), strict=True))
-        probable = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
+        log_posteriors = _compute_log_posteriors(fits)
+        shares = softmax(list(log_posteriors.values()))
+        probabilities = dict(zip(log_posteriors, shares.tolist(), strict=True))
+        probable = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * shares[0]]
         if not (unsampled_sums := [t for t in probable if t not in samples]):
             break
         for terms in unsampled_sums:
             sample(terms)
     draws = {t: _draw_parameters(channel, t, *samples[t], seed, probabilities[t]) for t in probable}
-    walk = draws[probable[0]].get("noise.walk")
-    if walk is None:
+    walk_draws = draws[probable[0]].get("noise.walk")
+    if walk_draws is None:
         terms = _sort_terms((*probable[0], "walk"))
         if terms not in fits:
             fits[terms] = _fit_sum(channel, terms, fits)
         if terms not in samples:
             sample(terms)
-        walk = _draw_parameters(channel, terms, *samples[terms], seed, 1.0)["noise.walk"]
-    walks = [d.get("noise.walk", np.resize(walk, len(d[WHITE]))) for d in draws.values()]
+        walk_draws = _draw_parameters(channel, terms, *samples[terms], seed, 1.0)["noise.walk"]
+    walks = [d.get("noise.walk", np.resize(walk_draws, len(d[WHITE]))) for d in draws.values()]
     return [*map(RestNoise, map(channel.model, probable), draws.values(), walks)], probabilities
 
 
@@ -478,22 +479,22 @@ def _count_readings_per_mean(
     The Allan variance of a narrow spectral line, which oscillates, is subtracted. Single readings are analysed if the
     slope is −½ within two standard deviations and neighbours are uncorrelated.
     """
-    variance, _ = allan.allan_variances(output, runs)
+    variances, _ = allan.allan_variances(output, runs)
     if z > LINE_Z:
-        law = SummedNoise(runs.step, 2 * runs.step * len(output), ("tone",))
+        tone_model = SummedNoise(runs.step, 2 * runs.step * len(output), ("tone",))
         values, line_variance = {WHITE: 0.0, **line}, line[TONE_RMS] ** 2
-        variance -= law.allan_variance(values, line_variance, runs.factors, runs.step)
-    upper_limit = 4.0 ** (2 * WHITE_SLOPE) * variance[:-2]
-    dof = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
-    upper_limit[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
-    is_level = variance[2:] <= upper_limit
-    is_level[1:] &= sum(runs.lengths) >= MIN_MEANS * runs.factors[1:-2]
-    is_level[:1] &= z > LINE_Z or _compute_negative_correlation_z(output, runs) > -NEIGHBOUR_Z
-    return int(runs.factors[np.argmax(is_level)]) if is_level.any() else None
+        variances -= tone_model.allan_variance(values, line_variance, runs.factors, runs.step)
+    max_variances = 4.0 ** (2 * WHITE_SLOPE) * variances[:-2]
+    dof = allan.degrees_of_freedom(runs, np.zeros(len(variances)))
+    max_variances[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
+    is_white = variances[2:] <= max_variances
+    is_white[1:] &= sum(runs.lengths) >= MIN_MEAN_COUNT * runs.factors[1:-2]
+    is_white[:1] &= z > LINE_Z or _compute_negative_correlation_z(output, runs) > -NEIGHBOUR_Z
+    return int(runs.factors[np.argmax(is_white)]) if is_white.any() else None
 
 
 def _average(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
-    """Average blocks of `count` consecutive readings; a block with more than half of them lost counts as lost."""
+    """Return means of blocks of `count` readings, and their runs; a block with more than half lost counts as lost."""
     blocks = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
     masks = [2 * np.sum(block >= 0, axis=1) >= count for block in blocks]
     row_indices = np.concatenate([block[mask] for block, mask in zip(blocks, masks, strict=True)])
@@ -519,14 +520,14 @@ def _compute_negative_correlation_z(output: Float[np.ndarray, "n"], runs: EvenRu
     at k = 1 is above (below) the extrapolation from k ≥ 2, neighbours are correlated negatively (positively).
     """
     lags = np.arange(1, len(LAG_WEIGHTS) + 2)
-    padded = [np.append(run, np.full(lags[-1], np.nan)) for run in runs.arrange(output)]
-    values = np.concatenate(padded)
+    padded_runs = [np.append(run, np.full(lags[-1], np.nan)) for run in runs.arrange(output)]
+    values = np.concatenate(padded_runs)
     differences = [values[k:] - values[:-k] for k in lags]
     variogram = np.array([0.5 * np.nanmean(d**2) for d in differences])
-    count, expected = np.isfinite(differences[0]).sum(), float(LAG_WEIGHTS @ variogram[1:])
+    count, extrapolation = np.isfinite(differences[0]).sum(), float(LAG_WEIGHTS @ variogram[1:])
     # The estimate of γₖ from n readings of white noise with variance γ₀ has the variance γ₀²/n.
-    sd = abs(expected) * math.sqrt((1 + float(LAG_WEIGHTS @ LAG_WEIGHTS)) / count)
-    return float(variogram[0] - expected) / sd
+    sd = abs(extrapolation) * math.sqrt((1 + float(LAG_WEIGHTS @ LAG_WEIGHTS)) / count)
+    return float(variogram[0] - extrapolation) / sd
 
 
 def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
@@ -536,8 +537,8 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
     averaged over k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
     run, best_z, line = max(runs.arrange(output), key=len), 0.0, (0.0, 0, 0)
-    run, length = np.where(np.isfinite(run), run, np.nanmean(run)), MIN_WINDOW
-    while (count := len(run) // length) >= MIN_WINDOWS:
+    run, length = np.where(np.isfinite(run), run, np.nanmean(run)), MIN_WINDOW_LENGTH
+    while (count := len(run) // length) >= MIN_WINDOW_COUNT:
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
         window, blocks = np.hanning(length), run[: count * length].reshape(count, length)
         spectra = np.abs(np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window)) ** 2
@@ -564,13 +565,13 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
 def _compute_log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
     """Return the unnormalised log posterior of each sum (log evidence plus log prior), the most probable first.
 
-    The smallest sum has half of the prior; each additional term halves the joint prior of the sums of that length.
+    The smallest sum has the prior `prior_complete`; each further term halves the joint prior of sums of that length.
     """
-    (base, *other_sums), p0 = fits, settings().prior_complete
+    (base_terms, *other_sums), p0 = fits, settings().prior_complete
     counts = Counter(map(len, other_sums))
     share = {terms: 2.0 ** -len(terms) / counts[len(terms)] for terms in other_sums}
-    prior = {base: p0} | {t: (1 - p0) * s / sum(share.values()) for t, s in share.items()}
-    totals = {terms: fit.log_evidence + math.log(prior[terms]) for terms, fit in fits.items()}
+    priors = {base_terms: p0} | {t: (1 - p0) * s / sum(share.values()) for t, s in share.items()}
+    totals = {terms: fit.log_evidence + math.log(priors[terms]) for terms, fit in fits.items()}
     return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
@@ -594,16 +595,16 @@ def _list_columns(
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
     columns = columns - columns.mean(axis=0)
-    fitted = columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], columns[:, -1])[0]
-    return columns, columns[:, -1] - fitted, scale, claims
+    polynomial = columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], columns[:, -1])[0]
+    return columns, columns[:, -1] - polynomial, scale, claims
 
 
 def _impute_run(
     columns: Float[np.ndarray, "n r"],
     model: SummedNoise,
-    values: Mapping[str, Float[np.ndarray, "1 1"]],
+    parameters: Mapping[str, Float[np.ndarray, "1 1"]],
     step: float,
-    random: np.random.Generator,
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "n r"]:
     """Draw a run's lost readings from the noise model, conditional on the others; interpolate its temperature columns.
 
@@ -621,16 +622,16 @@ def _impute_run(
     temperatures = [np.interp(indices, indices[~is_lost], c[~is_lost]) for c in columns.T[:-1]]
     design = np.column_stack([np.ones(n), *temperatures])
     mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
-    terms = model.spectrum(values, step, compute_eigenvalues(n, np.arange(n)))
-    density = values[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    terms = model.spectrum(parameters, step, compute_eigenvalues(n, np.arange(n)))
+    density = parameters[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
     weight = np.append(0.0, 1 / density[0, 1:])
 
-    def product(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
+    def multiply(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
         return np.asarray(idct(weight * dct(x, norm="ortho"), norm="ortho"))[m]
 
-    q = LinearOperator((len(m), len(m)), lambda x: product(np.bincount(m, x.ravel(), n)))
+    q = LinearOperator((len(m), len(m)), lambda x: multiply(np.bincount(m, x.ravel(), n)))
     deviations = np.where(is_lost, 0.0, columns[:, -1] - mean)
-    rhs = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - product(deviations)
+    rhs = idct(np.sqrt(weight) * rng.standard_normal(n), norm="ortho")[m] - multiply(deviations)
     deviations[m], _ = cg(q, rhs, rtol=1e-6)
     return np.column_stack([*temperatures, mean + deviations])
 
@@ -649,19 +650,19 @@ def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFi
         scale[list(priors).index(TONE_FREQ)] = np.diff(priors[TONE_FREQ].coordinate(interval))[0]
     order = np.argsort(-log_density(np.array(starts)))[:MODE_SEARCH_STARTS]
     densities = [(NumericDensity(log_density, scale), starts[i]) for i in order]
-    maxima = (fit_gaussian(density, maximise(density, start)) for density, start in densities)
-    return max(maxima, key=lambda fit: fit.log_density)
+    fitted_modes = (fit_gaussian(density, maximise(density, start)) for density, start in densities)
+    return max(fitted_modes, key=lambda fit: fit.log_density)
 
 
 def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> Iterator[Any]:
     """Yield starting coordinates: each term as large as the Allan variance allows, with several time constants."""
-    tau, curves, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.tone
+    tau, variances, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.tone
     amplitudes = {
-        WHITE: math.sqrt(curves[0]),
-        "noise.walk": math.sqrt(3 * curves[-1] / tau[-1]),
-        "noise.flicker": math.sqrt(float(np.min(curves)) / FLICKER_FLOOR),
-        "noise.quantisation": tau[0] * math.sqrt(curves[0] / 3),
-        "noise.averaging": math.sqrt(curves[0]),
+        WHITE: math.sqrt(variances[0]),
+        "noise.walk": math.sqrt(3 * variances[-1] / tau[-1]),
+        "noise.flicker": math.sqrt(float(np.min(variances)) / FLICKER_FLOOR),
+        "noise.quantisation": tau[0] * math.sqrt(variances[0] / 3),
+        "noise.averaging": math.sqrt(variances[0]),
         **line,
     }
     time_shares = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
@@ -673,7 +674,7 @@ def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> 
             values[TONE_TIME] = min(coherence * line[TONE_TIME], 0.7 * channel.max_duration)
         for k, share in enumerate(shares, 1):
             time = step * (channel.max_duration / step) ** share
-            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), curves))
+            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), variances))
             values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
             fraction = math.log(time / lower) / math.log(channel.max_duration / lower)
@@ -681,25 +682,25 @@ def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> 
         yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
-def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
+def _fit_line_rms(y: Float[np.ndarray, "n"], frequency: float) -> float:
     """Return the root mean square of a coherent line in a run, less the noise at its frequency, output unit.
 
-    The mean square is 1/n of the periodogram's maximum near `freq`, in cycles per reading, less its background.
+    The mean square is 1/n of the periodogram's maximum near `frequency`, in cycles per reading, less its background.
     """
     n = len(y)
     edges = np.linspace(0, n, min(MAX_PHASE_BLOCKS, n) + 1).astype(int)
-    baseband = (y - y.mean()) * np.exp(-2j * math.pi * freq * np.arange(n))
+    baseband = (y - y.mean()) * np.exp(-2j * math.pi * frequency * np.arange(n))
     bands, block_centres = np.add.reduceat(baseband, edges[:-1]), 0.5 * (edges[:-1] + edges[1:]) / n
 
-    def power(offset: float) -> float:
+    def compute_power(offset: float) -> float:
         """Return the periodogram at an offset from the frequency, cycles per run."""
         return float(2 * abs(bands @ np.exp(-2j * math.pi * offset * block_centres)) ** 2 / n)
 
     offset = 0.0
     for half_width in (0.8, 0.1):
-        offset = max(offset + half_width * np.linspace(-1, 1, 9), key=power)
-    background = np.mean([power(offset + k) for k in (*LINE_OFFSETS, *-LINE_OFFSETS)])
-    return math.sqrt(max(power(offset) - float(background), 0.0) / n)
+        offset = max(offset + half_width * np.linspace(-1, 1, 9), key=compute_power)
+    background = np.mean([compute_power(offset + k) for k in (*LINE_OFFSETS, *-LINE_OFFSETS)])
+    return math.sqrt(max(compute_power(offset) - float(background), 0.0) / n)
 
 
 def _draw_parameters(
@@ -709,9 +710,9 @@ def _draw_parameters(
 
     The rms of a coherent tone is drawn about its estimate from the longest run instead.
     """
-    points = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
+    sample = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
     priors = channel.model(terms).parameters()
-    parameters = {n: np.asarray(p.value(points[:, i])) for i, (n, p) in enumerate(priors.items())}
+    parameters = {n: np.asarray(p.value(sample[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
         is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.max_duration
         if is_coherent.any():
@@ -724,7 +725,7 @@ def _draw_parameters(
     return parameters
 
 
-def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
+def _find_filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
     """Return posterior draws of N and K for a Kalman filter; if noise is uncorrelated, K is the random walk's bound."""
     factors, step = sums.runs.factors, sums.runs.step
     walk_factor, densities, walk_draws = step * (2 * factors**2 + 1) / (6 * factors), [], []
@@ -739,9 +740,9 @@ def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
         # walk, has the least excess over all times (d, densities, times).
         white_var = np.maximum(np.column_stack([0 * white, required * factors]), white[:, None])
         required_walk = (required[:, None] - white_var[..., None] / factors) / walk_factor
-        is_correlated = bool(terms - {QUANTISATION, AVERAGING})
-        least_walk = 0 * white if is_correlated and "walk" not in terms else noise.walk**2
-        walk = np.maximum(required_walk.max(axis=2), least_walk[:, None])
+        has_correlation = bool(terms - {QUANTISATION, AVERAGING})
+        min_walk = 0 * white if has_correlation and "walk" not in terms else noise.walk**2
+        walk = np.maximum(required_walk.max(axis=2), min_walk[:, None])
         variance = white_var[..., None] / factors + walk[..., None] * walk_factor
         index = np.argmin(np.log(variance / allan_variance[:, None]).sum(axis=2), axis=1)[:, None]
         densities.append(np.sqrt(np.take_along_axis(white_var, index, 1)[:, 0] * step))
@@ -750,62 +751,61 @@ def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _summarise_figures(
-    sums: EvaluatedSums, unit: str, curve: Float[np.ndarray, "d k"]
+    sums: EvaluatedSums, unit: str, allan_variances: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
-    """Summarise Q, N, B, K and other parameters; a term's parameters if sums with it have over half of the draws."""
-    names, best, base = allan.data_sheet_terms(unit), sums.noises[0], unit or "1"
+    """Summarise Q, N, B, K and other parameters; those of a term only if sums with it have over half of the draws."""
+    names, best_noise, base = allan.data_sheet_terms(unit), sums.noises[0], unit or "1"
     (density, bias, walk), (density_unit, bias_unit, walk_unit) = names.names, names.units
     draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)
 
-    def pooled_draws(name: str) -> np.ndarray | None:
+    def pool_draws(name: str) -> np.ndarray | None:
         samples = [noise.draws[name] for noise in sums.noises if name in noise.draws]
         return np.concatenate(samples) if 2 * sum(map(len, samples)) > draw_count else None
 
     white_density = np.concatenate([noise.density(sums.runs.step) for noise in sums.noises])
     white_density = white_density if sums.count else np.full(1, math.nan)  # not even a bound
-    has_minimum = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
-    floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if has_minimum else None
-    walks = pooled_draws("noise.walk")
+    has_minimum = 0 < np.argmin(np.median(allan_variances, axis=0)) < allan_variances.shape[1] - 1
+    floor_draws = np.sqrt(np.min(allan_variances, axis=1) / FLICKER_FLOOR) if has_minimum else None
+    walk_draws = pool_draws("noise.walk")
     # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
-    bound = np.concatenate([noise.walk for noise in sums.noises])
-    no_flicker = "; no flicker resolved" * (pooled_draws("noise.flicker") is None)
+    walk_bound = np.concatenate([noise.walk for noise in sums.noises])
     rows = [
-        ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
+        ("Q", "quantisation noise", names.q_unit, f"{base}*s", pool_draws("noise.quantisation")),
         ("N", density, density_unit, f"{base}/Hz^0.5", white_density),
-        ("B", f"{bias} (flicker)", bias_unit, base, pooled_draws("noise.flicker")),
-        ("", f"{bias} (Allan minimum / 0.664{no_flicker})", bias_unit, base, floor),
-        ("K", walk, walk_unit, f"{base}/s^0.5", bound if walks is None else walks),
-        ("", "tone, rms", bias_unit, base, pooled_draws("noise.tone")),
-        ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),
-        ("", "tone, correlation time", "s", "s", pooled_draws("noise.tone.time")),
+        ("B", f"{bias} (flicker)", bias_unit, base, pool_draws("noise.flicker")),
+        ("", f"{bias} (lowest of its law / 0.664)", bias_unit, base, floor_draws),
+        ("K", walk, walk_unit, f"{base}/s^0.5", walk_bound if walk_draws is None else walk_draws),
+        ("", "tone, rms", bias_unit, base, pool_draws("noise.tone")),
+        ("", "tone, frequency", "Hz", "Hz", pool_draws("noise.tone.frequency")),
+        ("", "tone, correlation time", "s", "s", pool_draws("noise.tone.time")),
     ]
-    for number_of_process, (size, time) in enumerate(best.processes, 1):
-        name = f"Ornstein–Uhlenbeck {number_of_process}"
-        rows.append(("", f"{name}, size", bias_unit, base, size))
+    for index, (sd, time) in enumerate(best_noise.processes, 1):
+        name = f"Ornstein–Uhlenbeck {index}"
+        rows.append(("", f"{name}, size", bias_unit, base, sd))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
-    is_bound = {"K": walks is None, "N": not sums.count}
+    is_bound = {"K": walk_draws is None, "N": not sums.count}
     shown_rows = ((*row, is_bound.get(row[0], False)) for row in rows if row[-1] is not None)
     return tuple(itertools.starmap(_summarise_figure, shown_rows))
 
 
 def _summarise_figure(
-    symbol: str, name: str, unit: str, draw_unit: str, draws: np.ndarray, is_bound: bool = False
+    symbol: str, name: str, unit: str, draw_unit: str, draws: np.ndarray, is_limit: bool = False
 ) -> NoiseFigure:
     """Summarise draws in `draw_unit` as a figure in `unit` and in SI units."""
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.quantile(draws, [tail, 0.5, 1 - tail])
-    if is_bound:  # one-sided
+    if is_limit:  # one-sided
         low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
-    (si_unit, to_si), factor = _to_si_unit(draw_unit), parse(draw_unit).factor / parse(unit).factor
+    (si_unit, to_si), scale = _to_si_unit(draw_unit), parse(draw_unit).factor / parse(unit).factor
     values = np.array([median, low, high])
-    (value, lower, upper), (*si,) = (factor * values).tolist(), (to_si * values).tolist()
+    (value, lower, upper), (*si,) = (scale * values).tolist(), (to_si * values).tolist()
     return NoiseFigure(
-        symbol, name, unit, value, lower, upper, si_unit, (si[0], si[1], si[2]), is_bound
+        symbol, name, unit, value, lower, upper, si_unit, (si[0], si[1], si[2]), is_limit
     )
 
 
 def _to_si_unit(unit: str) -> tuple[str, float]:
-    """Return the SI unit of a rate, an acceleration, or either times s; else the unit itself; and the factor to it."""
+    """Return the SI unit (of rates, angles, accelerations, velocities; else the unit itself) and the factor to it."""
     suffix = next((e for e in ("/Hz^0.5", "/s^0.5") if unit.endswith(e)), "")
     stem = unit.removesuffix(suffix)
     si_unit = next((si for si in SI_UNITS if same_dimension(stem, si)), stem)

@@ -53,11 +53,11 @@ PARSE_ERRORS = (
 UNKNOWNS = "unknowns"  # key of a user-defined noise model's priors
 NOISE_ADVICE = "Give the file that defines it: --effects my_law.py (in Python: run it before load)"
 EFFECT_ADVICE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
-_PRIORS = {c.__name__: c for c in PRIORS}
+_PRIOR_CLASSES = {c.__name__: c for c in PRIORS}
 
 
 def save(calibration: Fitted, path: Path) -> Path:
-    """Write a calibration to NetCDF; raise InputError if that fails, or the disk is full."""
+    """Write a calibration to NetCDF (*.nc) and return the path; raise InputError for another suffix or a full disk."""
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file *.nc, not {path.name!r}")
@@ -75,18 +75,18 @@ def save(calibration: Fitted, path: Path) -> Path:
         "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
     metadata = json.dumps({"schema": SCHEMA, **describe(calibration)})
-    ids = {"bayescal": metadata, "bayescal_identity": identity(calibration)}
+    attributes = {"bayescal": metadata, "bayescal_identity": identity(calibration)}
     title = format_model(calibration.model)
-    content = encode_netcdf(groups, Conventions="CF-1.11", title=title, **ids)
-    with atomic_file.replace_user_file(path) as partial:
-        atomic_file.write_sealed(content, partial)
+    content = encode_netcdf(groups, Conventions="CF-1.11", title=title, **attributes)
+    with atomic_file.replace_user_file(path) as partial_path:
+        atomic_file.write_sealed(content, partial_path)
     return path
 
 
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> dict[str, Any]:
-    """Read the fields of a calibration; see `bayescal.load`."""
+    """Return the fields of a saved calibration, by name; arguments and errors are those of `bayescal.load`."""
     if not path.is_file():
         problem = f"{path} is a folder" if path.is_dir() else f"there is no file {path}"
         raise InputError(f"{problem}: give a calibration saved by bayescal, such as calibration.nc")
@@ -206,12 +206,12 @@ def describe(calibration: Fitted) -> dict[str, Any]:
     }
 
 
-def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
+def _is_resized(effect: Effect, catalogue: Mapping[str, Effect]) -> bool:
     """Return whether an effect differs from that of the catalogue only in its prior standard deviation."""
-    default = catalogue.get(e.name)
-    if default is None or e.coefficients == default.coefficients:
-        return bool(e.frees)
-    return replace(e, coefficients=default.coefficients, shapes=default.shapes) == default
+    default = catalogue.get(effect.name)
+    if default is None or effect.coefficients == default.coefficients:
+        return bool(effect.frees)
+    return replace(effect, coefficients=default.coefficients, shapes=default.shapes) == default
 
 
 def _collect_instrument_effects(instrument: Instrument) -> dict[str, Effect]:
@@ -229,10 +229,10 @@ def _collect_noise_fields(noise: Noise) -> dict[str, Any]:
     """Return a noise model's class name and fields; for a user-defined one also its priors."""
     fields: dict[str, Any] = {"law": type(noise).__name__}
     for key, value in vars(noise).items():
-        is_prior = type(value).__name__ in _PRIORS
+        is_prior = type(value).__name__ in _PRIOR_CLASSES
         fields[key] = [type(value).__name__, vars(value)] if is_prior else value
     if not type(noise).__module__.startswith("bayescal."):
-        fields[UNKNOWNS] = {name: repr(is_prior) for name, is_prior in noise.parameters().items()}
+        fields[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
     return fields
 
 
@@ -247,7 +247,7 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
     for key, value in metadata.items():
         if isinstance(value, list):
             is_prior = len(value) == 2 and isinstance(value[1], dict)
-            value = _PRIORS[value[0]](**value[1]) if is_prior else tuple(value)
+            value = _PRIOR_CLASSES[value[0]](**value[1]) if is_prior else tuple(value)
         fields[key] = value
     return Noise.registry[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
 

@@ -24,9 +24,9 @@ CONCERNED_SHARE = limit("direction.other", "share")
 
 Direction = Float[np.ndarray, "p"]
 
-SKEWED = "skewed: see interval"  # in place of value ± u
+SKEWED_TEXT = "skewed: see interval"  # in place of value ± u
 CONTRACTION = "contraction: 1 − posterior variance/prior variance"
-IN_PRIOR_SDS = " (in prior standard deviations)"
+PRIOR_SD_SUFFIX = "  (in prior standard deviations)"
 MAX_TERMS = 8  # printed terms of a linear combination
 NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
 MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
@@ -49,13 +49,13 @@ def list_unknowns(
     if any(row[-1] != "–" for row in rows.values()):
         is_widened = any(row[-1].startswith("-") for row in rows.values())
         lines.append(CONTRACTION + "; below 0: the posterior is wider than the prior" * is_widened)
-    if constants := [
+    if constant_texts := [
         f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.reference_constants.items()
     ]:
-        lines.append("coefficients refer to " + ", ".join(constants))
+        lines.append("coefficients refer to " + ", ".join(constant_texts))
     if model.noise.law == "white" and "noise.white" in rows:
-        addition = ", besides the stated one" * calibration.readings.has("output_uncertainty")
-        lines.append(f"noise.white: standard deviation of one reading{addition}")
+        suffix = ", besides the stated one" * calibration.readings.has("output_uncertainty")
+        lines.append(f"noise.white: standard deviation of one reading{suffix}")
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})
     if stepped := [n for n in columns if calibration.reference.get(name_hold_flag(n))]:
@@ -69,7 +69,7 @@ def list_unknowns(
 
 
 def is_skewed(mean: float, sd: float, low: float, high: float) -> bool:
-    """Return whether value ± 2 u misleads: the 95 % interval is lopsided, or much narrower (a bounded unknown)."""
+    """Return whether value ± 2 u misleads: the 95 % interval is asymmetric, or much narrower (a bounded unknown)."""
     return sd > 0 and max(2 * abs(high + low - 2 * mean), 4 * sd / 2.3) > 0.5 * (high - low)
 
 
@@ -89,15 +89,15 @@ def format_rows(
             continue
         if effect in curve_effects:
             rms, extreme, place = summarise_curve(calibration, effect)
-            extent = f"{number(rms, 2)} rms, {number(extreme, 2)} at {place}"
-            rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
+            extent_text = f"{number(rms, 2)} rms, {number(extreme, 2)} at {place}"
+            rows[effect] = [effect, extent_text, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
             means = [c["given"]["mean"] for c in coefficients if groups.get(c["name"]) == key]
-            extent = f"means {number(min(means), 3)} to {number(max(means), 3)}"
-            rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
+            extent_text = f"means {number(min(means), 3)} to {number(max(means), 3)}"
+            rows[key] = [f"{key} ({len(means)} members)", extent_text, unit, "–", "–"]
         else:
             mean, sd, (low, high) = g["given"].values()
-            value = SKEWED if is_skewed(mean, sd, low, high) else format_value(mean, sd)
+            value = SKEWED_TEXT if is_skewed(mean, sd, low, high) else format_value(mean, sd)
             is_known = g["contraction"] is not None and mean == g["mean"]  # not that of a mixture
             contraction = f"{g['contraction']:.3f}" if is_known else "–"
             rows[name] = [name, value, unit, format_interval(low, high, mean, sd), contraction]
@@ -109,13 +109,13 @@ def summarise_curve(calibration: Fitted, name: str) -> tuple[float, float, str]:
     """Return a curve's rms and largest deviation from its mean, output unit, and where: "humidity 0.55"."""
     values, readings = np.asarray(calibration.linear.contribution(name)), calibration.readings
     values = values - values.mean()
-    worst = int(np.argmax(np.abs(values)))
+    worst_index = int(np.argmax(np.abs(values)))
     place = covariate = calibration.model.effect(name).covariate
     if (column := list_covariates(readings).get(covariate)) is not None:
         unit = "s" if covariate == "elapsed" else "degC/s"
         unit = readings.unit(covariate) if readings.has(covariate) else unit
-        place += f" {number(float(column[worst]), 3)} {unit_label(unit or '1')}".rstrip()
-    return float(values.std()), float(values[worst]), place
+        place += f" {number(float(column[worst_index]), 3)} {unit_label(unit or '1')}".rstrip()
+    return float(values.std()), float(values[worst_index]), place
 
 
 def find_large_groups(calibration: Fitted) -> dict[str, str]:
@@ -134,8 +134,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
     A row has name, effect, unit, mean, sd, interval95, contraction, the inclusion `probability` of the effect, and
-    `given`: mean, sd and interval95 conditional on inclusion. All values of a hyperparameter are conditional.
-
+    `conditional`: mean, sd and interval95 conditional on inclusion. All values of a hyperparameter are conditional.
     Contraction is 1 − (posterior variance)/(prior variance); None for flat priors and constant draws.
     """
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
@@ -143,11 +142,11 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         values = calibration.samples(u.name)
         is_present = calibration.inclusion_masks.get(u.effect, np.ones(len(values), dtype=bool))
         subset = values[is_present] if is_present.sum() > 1 else values
-        given = {
+        conditional = {
             "mean": float(subset.mean()),
             "sd": float(subset.std(ddof=1)) * bool(np.ptp(subset)),
         }
-        given["interval95"] = np.quantile(subset, [0.025, 0.975]).tolist()
+        conditional["interval95"] = np.quantile(subset, [0.025, 0.975]).tolist()
         values = subset if u.block is None else values  # absent, a hyperparameter has no value
         low, high = np.quantile(values, [0.025, 0.975])
         sd, prior = float(values.std(ddof=1)) * bool(np.ptp(values)), u.prior_sd  # equal ones round
@@ -156,7 +155,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
             "effect": u.effect,
             "unit": u.unit,
             "probability": float(is_present.mean()),
-            "given": given,
+            "given": conditional,
             "mean": float(values.mean()),
             "sd": sd,
             "interval95": [float(low), float(high)],
@@ -169,35 +168,35 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
 def null_directions(calibration: Fitted) -> list[Claim]:
     """Return claims on unidentified linear combinations of coefficients.
 
-    First, exact null directions of the design matrix, each with as few coefficients as possible; weak directions:
-    information below a tenth of the prior's, so that the posterior is the prior; one claim for all of group deviations
-    or unknown functions; pairs of coefficients of which only one combination is measured. Last, confounders.
+    In this order: exact null directions of the design matrix, each with as few coefficients as possible; weak
+    directions, on which readings have less than a tenth of the prior's information; one claim for all directions of
+    group deviations or unknown functions; pairs of coefficients of which only one combination is measured; confounders.
     """
     claims = find_unidentified(calibration.linear, calibration.levels)
     return [*claims, *(confounder.claim for confounder in calibration.confounders)]
 
 
 def list_directions(calibration: Fitted) -> list[dict[str, str]]:
-    """Return `null_directions` as in result.json."""
+    """Return the records of `null_directions` in result.json."""
     claims = null_directions(calibration)
     return [{"combination": c.numbers["combination"], "in_words": str(c)} for c in claims]
 
 
 def find_unidentified(
-    linear: LinearModel, levels: Mapping[str, Sequence[str]], with_exact: bool = True
+    linear: LinearModel, levels: Mapping[str, Sequence[str]], include_exact: bool = True
 ) -> list[Claim]:
     """Return claims on unidentified combinations of a linearised structure, without those due to confounders."""
     layout = linear.problem.layout
     if layout.size == 0:
         return []
     names, claims = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
-    exact_vectors, weak_vectors, member_vectors = find_null_vectors(linear, with_exact)
+    exact_vectors, weak_vectors, member_vectors = find_null_vectors(linear, include_exact)
     for v in exact_vectors:  # no reading changes; in the coefficients' units if of small integers
         order = np.flatnonzero(np.abs(v) > NAMED_SHARE * np.abs(v).max())
         factors, suffix = null_space.scale_to_integers((v * linear.sd[: len(v)])[order]), ""
         if np.any(factors != np.rint(factors)):  # else in prior sd, the largest first
             order = order[np.argsort(-np.abs(v[order]), kind="stable")]
-            factors, suffix = null_space.scale_to_integers(v[order]), IN_PRIOR_SDS
+            factors, suffix = null_space.scale_to_integers(v[order]), PRIOR_SD_SUFFIX
         code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
         subjects = [names[i] for i in order]
         combination = _format_combination([*zip(factors, subjects, strict=True)]) + suffix
@@ -208,13 +207,14 @@ def find_unidentified(
         order = order or [int(np.argmax(np.abs(v)))]
         sign = float(np.sign(v[order[0]]))
         combination = _format_combination([(sign * round(float(v[i]), 2), names[i]) for i in order])
+        combination += PRIOR_SD_SUFFIX
         code = "direction.none" if len(order) == 1 else "direction.other"
         subjects = [names[i] for i in order]
         claims.append(Claim(code, *subjects, combination=combination + IN_PRIOR_SDS))
     if member_vectors:  # those of group deviations and unknown functions' coefficients
         largest, is_single = np.max(np.abs(member_vectors), axis=0), is_single_coefficient(layout)
-        is_traced = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
-        blocks = (b for b in layout.x_blocks if is_traced[b.x_slice].any())
+        is_named = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
+        blocks = (b for b in layout.x_blocks if is_named[b.x_slice].any())
         effects = dict.fromkeys(b.effect.name for b in blocks)
         numbers = {"count": len(member_vectors), "combination": ", ".join(effects)}
         claims.append(Claim("direction.members", *effects, **numbers))
@@ -233,14 +233,14 @@ def find_unidentified(
 
 
 def find_null_vectors(
-    linear: LinearModel, with_exact: bool = True
+    linear: LinearModel, include_exact: bool = True
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
     """Return exact, weak, and group-deviation null directions (p,), in prior standard deviations."""
     layout = linear.problem.layout
     single, share = is_single_coefficient(layout), limit("direction.none", "share")
     is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
-    exact = null_space.find_null_rows(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
+    exact = null_space.find_null_rows(whitened) if include_exact else np.zeros((0, whitened.shape[1]))
     weak = null_space.find_weak_rows(whitened, exact, WEAK_INFORMATION, share)
     directions_by_kind: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):
@@ -255,10 +255,10 @@ def find_null_vectors(
 
 def _format_combination(terms: list[tuple[float, str]]) -> str:
     """Format a linear combination: a − b − 2·c."""
-    terms_text = []
+    term_texts = []
     for factor, name in terms[:MAX_TERMS]:
         coefficient = "" if abs(factor) == 1 else f"{abs(factor):.3g}·"
-        terms_text.append(f"{'+' if factor > 0 else '−'} {coefficient}{name}")
+        term_texts.append(f"{'+' if factor > 0 else '−'} {coefficient}{name}")
     if len(terms) > MAX_TERMS:
-        terms_text.append(f"… and {len(terms) - MAX_TERMS} more")
-    return " ".join(terms_text).removeprefix("+ ")
+        term_texts.append(f"… and {len(terms) - MAX_TERMS} more")
+    return " ".join(term_texts).removeprefix("+ ")

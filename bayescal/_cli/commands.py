@@ -577,7 +577,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         from bayescal._use import correction_files as files
 
         programs = [getattr(correction, "program", correction) for correction in corrections]
-        kind, format = files.find_kind(programs[0]), files.format_of(self.out, self.format_)
+        kind, format = files.find_kind(programs[0]), files.choose_format(self.out, self.format_)
         first_program, *others = programs
         kwargs = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
         text = files.as_text(first_program, format, **kwargs)

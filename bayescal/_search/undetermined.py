@@ -105,8 +105,8 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     planned_model, vector = linear(readings), model.instrument.vector
     is_log = readings.has(TURNED[0])  # a log of moves: it needs further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not is_log else 1)
-    directions = find_null_vectors(planned_model, with_exact=False)[1] if layout.size else []
-    claims = find_unidentified(planned_model, levels, with_exact=False)
+    directions = find_null_vectors(planned_model, include_exact=False)[1] if layout.size else []
+    claims = find_unidentified(planned_model, levels, include_exact=False)
     combinations = tuple(claims[: len(directions)])  # none of a rig's errors
     if vector is None or not directions or is_log:
         return Undetermined(count, combinations)

@@ -35,16 +35,16 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
-from bayescal._use.compensation_program import PAST, list_clock_claims
+from bayescal._use.compensation_program import HISTORY_KINDS, list_clock_claims
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, is_new_member
 
 REMAINDER = "between-run sd, time constants, second-order terms"
-STRUCTURES = "averaging over structures (rows above: the most probable one alone)"
-INADEQUACY = "model inadequacy: u × f, f = {:.2f}, except new runs' deviations"
-SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
-LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
-READINGS = "noise of the calibration's readings"
+STRUCTURES_LABEL = "averaging over structures, not the most probable (rows above)"
+INADEQUACY_LABEL = "model inadequacy: u × f, f = {:.2f}, except new runs' deviations"
+SHARES_NOTE = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
+MIN_PRINTED_SHARE = 5e-4  # smallest share of the variance that is printed
+READINGS_LABEL = "noise of the calibration's readings"
 Point = Mapping[str, float]  # operating point: stimulus and inputs by name, fixed units
 
 
@@ -71,8 +71,8 @@ class SourceShare:
     share: float
 
 
-def list_inputs(values: Mapping[str, str], units: Mapping[str, str]) -> str:
-    """List input quantities with their formatted values; equal lags T̃ − T [delta_degC] of a column are named once."""
+def format_inputs(values: Mapping[str, str], units: Mapping[str, str]) -> str:
+    """Format input quantities and their values as one text; equal lags T̃ − T of a column are named once."""
     lags = {n: re.sub(r"_lag(_\d+)?$", "_lag (lagged − measured)", n) for n in values}
     names = {n: lag if units[n] == "delta_degC" else n for n, lag in lags.items()}
     return ", ".join(dict.fromkeys(f"{names[n]} = {v}".strip() for n, v in values.items()))
@@ -152,17 +152,17 @@ class Budget(Printed):
         b = self.in_output_unit()
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
         omitted = len(b.coefficients) - len(by_coefficient.rows)
-        note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
+        note = f" {omitted} coefficients below {100 * MIN_PRINTED_SHARE:g} % are not shown."
         u, total = b.uncertainty, b.expanded_reading / b.k
         uncertainties = u, b.noise, total, b.expanded, b.expanded_reading, b.k_95 * u
         texts = (number(s) if s >= 100 else f"{s:#.3g}" for s in uncertainties)
-        combined, noise, total, expanded, of_reading, u_95 = (f"{text} {unit}" for text in texts)
-        expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {of_reading}."
+        combined, noise, total, expanded, reading_text, u_95 = (f"{text} {unit}" for text in texts)
+        expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {reading_text}."
         coverage = f"For 95 % coverage, from the posterior draws: k = {b.k_95:.2f}, U = {u_95}."
         parts = [
             wrap(f"Uncertainty budget of {b.stimulus} at {b.place}"),
             by_coefficient,
-            wrap(f"{SHARES}{note * (omitted > 0)}", ""),
+            wrap(f"{SHARES_NOTE}{note * (omitted > 0)}", ""),
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {total}.",
             wrap(f"{expanded} {coverage}", ""),
@@ -184,32 +184,32 @@ class Budget(Printed):
         """Format the operating point as text; equal lags of a column are named once."""
         labels = {n: unit_label(unit) for n, unit in self.at_units.items()}
         values = {n: f"{number(v, 4)} {labels[n]}" for n, v in self.at.items()}
-        return list_inputs(values, self.at_units)
+        return format_inputs(values, self.at_units)
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
-        """Return the tables by coefficient and by source, without rows below `LEAST_VARIANCE_SHARE`."""
+        """Return the tables by coefficient and by source, without rows below `MIN_PRINTED_SHARE`."""
         rows = (self.coefficients, self.sources)
-        printed = ([r for r in table if abs(r.share) >= LEAST_VARIANCE_SHARE] for table in rows)
+        printed = ([r for r in table if abs(r.share) >= MIN_PRINTED_SHARE] for table in rows)
         title = f"contribution u [{unit_label(self.unit) or 1}]"
-        common = (
+        common_columns = (
             TableColumn(title, lambda r: number(r.contribution) if r.contribution > 0 else "–"),
             TableColumn("share", lambda row: f"{100 * row.share:z.1f} %"),
         )
 
-        def estimate(c: Contribution) -> str:
+        def format_estimate(c: Contribution) -> str:
             return f"{format_value(c.value, c.uncertainty)} {unit_label(c.unit)}".strip()
 
         by_coefficient = (
             TableColumn("coefficient", lambda c: c.name),
-            TableColumn("estimate ± standard uncertainty", estimate),
+            TableColumn("estimate ± standard uncertainty", format_estimate),
             TableColumn("sensitivity c", lambda c: number(c.sensitivity)),
             TableColumn("unit of c", lambda c: format_unit(quotient(self.unit, c.unit)), left=True),
-            *common,
+            *common_columns,
         )
         by_source = (
             TableColumn("the same uncertainty by source", lambda s: s.name),
             TableColumn("type", lambda s: s.kind or "A, B"),
-            *common,
+            *common_columns,
         )
         return ResultTable(by_coefficient, next(printed)), ResultTable(by_source, next(printed))
 
@@ -257,8 +257,8 @@ def budget(
         k=float(k),
         k_95=half_width / (variance**0.5 or np.inf),
         coefficients=tuple(
-            Contribution(u.name, u.unit, *map(float, figures))
-            for u, *figures in zip(correction.equation.unknowns, *columns, strict=True)
+            Contribution(u.name, u.unit, *map(float, values))
+            for u, *values in zip(correction.equation.unknowns, *columns, strict=True)
         ),
         sources=_split_by_source(correction, point, gradient, variance),
         covariance=covariance,
@@ -303,17 +303,17 @@ def _split_by_source(
         total = float(gradient @ correction._moments.covariance @ gradient)
     unknowns, covariance = equation.unknowns, correction._moments.covariance
     blocks = {b.name: b for b in calibration.layout.blocks}
-    sensitivities, estimated = dict[str, float](), _list_estimated_group_sds(equation)
+    sensitivities, estimated_names = dict[str, float](), _list_estimated_group_sds(equation)
     for i, unknown in enumerate(unknowns):
         if is_new_member(unknown):
             label = f"{unknown.key} of a new {unknown.group}"
-            kind = "A" if unknown.key in estimated else "B"
+            kind = "A" if unknown.key in estimated_names else "B"
             variances[label, kind] = gradient[i] ** 2 * covariance[i, i]
         else:
             sensitivities[unknown.name] = float(gradient[i])
     readings, priors = variance_by_origin(calibration, sensitivities)
     if readings or priors:
-        variances[READINGS, "A"] = readings
+        variances[READINGS_LABEL, "A"] = readings
         for name, value in priors.items():
             label = f"prior of {name}"
             if (block := blocks.get(name)) and block.effect.is_reference_error:
@@ -333,26 +333,26 @@ def _split_by_source(
         variances[f"{name} of a new run, not found", ""] = undetected[-1]
     if (excess := 1 - calibration.form_factor**-2) > 0:
         g = gradient * [not is_new_member(u) for u in unknowns]
-        of_model = float(g @ covariance @ g) - sum(undetected)
-        variances[INADEQUACY.format(calibration.form_factor), "B"] = excess * of_model
+        model_variance = float(g @ covariance @ g) - sum(undetected)
+        variances[INADEQUACY_LABEL.format(calibration.form_factor), "B"] = excess * model_variance
     rows = sorted(variances.items(), key=lambda p: -p[1])
     remainder = total - sum(variances.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
-    rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely_effects)
+    rows += [((STRUCTURES_LABEL, ""), variance - total)] * bool(unlikely_effects)
     sources = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
     return tuple(SourceShare(*label, u, v / (variance or np.inf)) for label, v, u in sources)
 
 
 def _list_estimated_group_sds(equation: OperatingEquation) -> set[str]:
-    """Return the coefficients of unseen members whose between-member standard deviation is estimated, by name."""
+    """Return the names of unseen members' coefficients whose between-member standard deviation is estimated."""
     members, fixed_names = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
-    estimated = (b for b in equation.blocks if b.group_sd_name not in fixed_names)
-    return {b.name for b in estimated if b.coefficient.per not in members}
+    estimated_blocks = (b for b in equation.blocks if b.group_sd_name not in fixed_names)
+    return {b.name for b in estimated_blocks if b.coefficient.per not in members}
 
 
 def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
     """Return a claim for each input of an operating point (fixed units) that is outside its calibrated range."""
-    past = {i.name for i in correction.inputs if i.kind in PAST}
+    past = {i.name for i in correction.inputs if i.kind in HISTORY_KINDS}
     fixed = {i.name for i in correction.inputs if i.settled}
     return [
         Claim("budget.beyond_range", name, value=point[name], low=low, high=high, unit=unit)
@@ -361,8 +361,8 @@ def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
     ]
 
 
-def list_budget_claims(correction: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
-    """Return the claims about what a budget includes and omits; `of_correction` is False for the budget of a slot."""
+def list_budget_claims(correction: Compensator, is_correction: bool = True) -> tuple[Claim, ...]:
+    """Return the claims about what a budget includes and omits; `is_correction` is False for the budget of a slot."""
     calibration, equation = correction.calibration, correction.equation
     sources = [f"{name} of a new run" for name in equation.unfound_spreads]
     sources += ["model inadequacy"] * (calibration.form_factor > 1)
@@ -371,8 +371,8 @@ def list_budget_claims(correction: Compensator, of_correction: bool = True) -> t
         u, p = equation.unknowns[i], calibration.inclusion.get(name, 0.0)
         numbers = {"coefficient": u.name, "unit": u.unit, "p": p, "tau": sd / (1 - p) ** 0.5}
         if prior := calibration.model.instrument.known[name].coefficients[0].group_sd:
-            plausible = float(prior.value(0.0)) * sd / calibration.unfound_spreads[name]
-            notes.append(Claim("budget.new_run", name, plausible=plausible, **numbers))
-    if of_correction and not correction.equation.is_slope_calibrated:
+            plausible_sd = float(prior.value(0.0)) * sd / calibration.unfound_spreads[name]
+            notes.append(Claim("budget.new_run", name, plausible=plausible_sd, **numbers))
+    if is_correction and not correction.equation.is_slope_calibrated:
         notes.append(Claim("use.bias_only", correction.stimulus))
     return (*dict.fromkeys(notes), Claim("budget.shared_errors"))

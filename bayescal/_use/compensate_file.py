@@ -37,7 +37,7 @@ ROWS_PER_BATCH = 200_000  # of Parquet
 
 @dataclass(frozen=True)
 class CompensationSummary:
-    """Numbers of compensated readings and of problems; the result of `compensate_file`."""
+    """Result of `compensate_file`: the written file, its added columns, and counts of rows and of problems."""
 
     file: Path  # the written file
     columns: tuple[str, str]  # names of the two added columns
@@ -60,10 +60,10 @@ class AddedColumns(NamedTuple):
     def headers(self) -> list[str]:
         return [f"{name} [{self.unit}]" for name in self.names]
 
-    def cells(self, decimal: str = ".") -> Iterator[list[str]]:
+    def cells(self, decimal_sign: str = ".") -> Iterator[list[str]]:
         """Yield the two cells of each row as text; "" for NaN."""
         for row in self.values.T.tolist():
-            yield ["" if v != v else repr(v).replace(".", decimal) for v in row]
+            yield ["" if v != v else repr(v).replace(".", decimal_sign) for v in row]
 
 
 def compensate_file(
@@ -111,7 +111,7 @@ def compensate_file(
     read_options |= {"remembered": compensator.calibration.readings.sources, "epoch": about.epoch}
     how = {"local_gravity": local_gravity, "missing": missing, "only": True, **read_options}
     options = ReadOptions.of(expected, **how)
-    with replace_user_file(out) as partial:
+    with replace_user_file(out) as partial_path:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.restrict_to(table)
@@ -122,8 +122,8 @@ def compensate_file(
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
             find_problems(converted, expected, True).refuse()
             flags = flags_of(converted, "output", table.file, find_repeated_rows(converted.values))
-        since, columns = converted.origin, (converted.values, converted.units)
-        readings = Measurements(*columns, (source,), since=since)
+        epoch, columns = converted.origin, (converted.values, converted.units)
+        readings = Measurements(*columns, (source,), since=epoch)
         _refuse_overlap(compensator, readings, bool(options.begin))
         compensated = compensator(readings, noise=noise, method=method, warn=False)
         values = np.full((2, table.rows), np.nan)
@@ -131,8 +131,8 @@ def compensate_file(
         values[:, rows] = compensated.value, compensated.uncertainty
         writers = dict.fromkeys(CSV_SUFFIXES, _write_csv)
         writers[".parquet"] = _add_parquet
-        added = AddedColumns(names, compensator.unit, values, options.decimal)
-        writers.get(suffix, _add_text)(added, path, partial, table, output_header)
+        added_columns = AddedColumns(names, compensator.unit, values, options.decimal)
+        writers.get(suffix, _add_text)(added_columns, path, partial_path, table, output_header)
     return CompensationSummary(
         file=out,
         columns=names,
@@ -162,10 +162,10 @@ def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin:
 
 
 def _name_columns(
-    table: Table, expected: ExpectedColumns, options: ReadOptions
+    table: Table, expected_columns: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
     """Return the output's header in the file, and the names of the columns to add."""
-    file = MatchedFile(table, expected, options, problems := Objections())
+    file = MatchedFile(table, expected_columns, options, problems := Objections())
     file.note_missing()
     problems.refuse()
     table, header = file.table, file.table.headers[file.positions["output"]]
@@ -184,21 +184,21 @@ def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, head
     text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
     encoding = "utf-8" if text.encoding == "utf-16" else text.encoding
-    with partial.open("w", encoding=encoding, newline="") as copy:
+    with partial.open("w", encoding=encoding, newline="") as target:
         preamble, header_row = text.data[: text.offset].splitlines(keepends=True), text.header_row
         for row, line in enumerate(preamble, 1):  # comments, the header, a row of units
             fields = added.headers if row == header_row else ["", ""]
-            copy.write(line.decode() if row < header_row else _append_fields(line, fields, text))
+            target.write(line.decode() if row < header_row else _append_fields(line, fields, text))
         for line in text.rows():
             is_row = line.strip(text.blank_bytes)
-            copy.write(_append_fields(line, next(rows), text) if is_row else line.decode())
+            target.write(_append_fields(line, next(rows), text) if is_row else line.decode())
 
 
 def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
     """Return a line of a text file with further fields, quoted and separated as its own."""
     content = line.decode().rstrip("\r\n")
-    end = line.decode()[len(content) :] or "\n"
-    return content + text.separator + format_csv_line(fields, text.separator) + end
+    line_end = line.decode()[len(content) :] or "\n"
+    return content + text.separator + format_csv_line(fields, text.separator) + line_end
 
 
 def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
@@ -216,10 +216,10 @@ def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, h
 
 def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
     """Write an Excel sheet or MATLAB vectors, cells as quoted text, and the two added columns as CSV."""
-    loaded = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
+    columns = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")
         writer.writerow(map(quote_cell, [*(h.raw for h in table.headers), *added.headers]))
-        texts = [map(quote_cell, loaded[i].values.tolist()) for i in range(len(table.headers))]
+        texts = [map(quote_cell, columns[i].values.tolist()) for i in range(len(table.headers))]
         rows = zip(*texts, added.cells(), strict=True)
         writer.writerows([*cells, *added_cells] for *cells, added_cells in rows)

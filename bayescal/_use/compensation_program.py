@@ -57,7 +57,7 @@ class CorrectionInUse(Protocol):
 
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
-PAST = ("rate", "lag", "lag slope")  # kinds of input computed from a temperature's history
+HISTORY_KINDS = ("rate", "lag", "lag slope")  # kinds of input computed from a temperature's history
 # Largest change of a settled value over its standard uncertainty: it adds 0.5 % in the root sum of squares.
 MAX_SETTLED_CHANGE = 0.1
 RANGE_MARGIN = 0.01  # fraction of the stimulus range, tolerated beyond its ends for noise
@@ -110,9 +110,9 @@ def list_needed_inputs(equation: OperatingEquation) -> list[Input]:
 
     meanings = {c.name: c.meaning for c in calibration.model.instrument.columns}
     for name in (n for n in equation.columns if n != "elapsed"):
-        meaning = time_origin(calibration) if name == "time" else meanings.get(name, "")
+        meaning = describe_time_origin(calibration) if name == "time" else meanings.get(name, "")
         add_input(name, calibration.readings.unit(name) or "1", meaning, "column", name)
-    add_input("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
+    add_input("elapsed", "s", "time since the start of the run or of power", "elapsed", "time")
     for name, column in equation.rates:
         meaning = (
             f"rate of {column}: least-squares slope over the last {RATE_WINDOW_S:g} s (or the last two readings, if "
@@ -122,14 +122,14 @@ def list_needed_inputs(equation: OperatingEquation) -> list[Input]:
     for lag in equation.nodes.lags:  # exports compute lags and ∂lag/∂τ from a record
         is_held = bool(calibration.reference.get(name_hold_flag(lag.column), 0.0))
         silence = None if is_held else float(frame.max_gap)
-        history = {"tau": lag.tau, "silence": silence, "held": is_held}
+        lag_fields = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"temperature of a body with time constant {lag.tau!r} s minus {lag.column}; 0 at the start"
-        add_input(lag.name, "delta_degC", meaning, "lag", lag.column, **history)
+        add_input(lag.name, "delta_degC", meaning, "lag", lag.column, **lag_fields)
         meaning = (
-            f"derivative of {lag.name} with respect to its time constant, to propagate that uncertainty; 0 at the "
-            "start, 0 throughout omits it"
+            f"derivative of {lag.name} with respect to its time constant, to propagate the uncertainty of that "
+            "constant; 0 at the start; give 0 throughout to omit this uncertainty"
         )
-        add_input(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **history)
+        add_input(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **lag_fields)
     return sorted(inputs, key=lambda i: i.name)
 
 
@@ -162,8 +162,8 @@ def gather_inputs(
     for i in inputs:  # a lag given without its slope is taken as exact
         if i.kind == "lag slope" and lags.get((i.column, i.tau)) in values:
             values.setdefault(i.name, np.zeros_like(values["output"]))
-    of_history = (i for i in inputs if i.kind != "column" and i.name not in values)
-    record, computed = None, [i for i in of_history if values.keys() >= {"time", i.column}]
+    history_inputs = (i for i in inputs if i.kind != "column" and i.name not in values)
+    record, computed = None, [i for i in history_inputs if values.keys() >= {"time", i.column}]
     if computed:
         record = _build_record(computed, readings, values)
         for i in computed:
@@ -174,22 +174,22 @@ def gather_inputs(
                 values[i.name] = lag_values[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in values:
-            origin = f" (or {i.column!r} and 'time')" * (i.kind != "column")
+            alternative = f" (or {i.column!r} and 'time')" * (i.kind != "column")
             raise InputError(
-                f"the column {i.name!r} [{i.unit}]{origin}, which this calibration needs, is missing (given: "
+                f"the column {i.name!r} [{i.unit}]{alternative}, which this calibration needs, is missing (given: "
                 f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
             )
     return values, record
 
 
 def _build_record(
-    needed: Sequence[Input], readings: Measurements | None, values: Mapping[str, np.ndarray]
+    needed_inputs: Sequence[Input], readings: Measurements | None, values: Mapping[str, np.ndarray]
 ) -> Frame:
-    """Build the frame from which the inputs `needed` are computed."""
+    """Build the frame from which the inputs `needed_inputs` are computed."""
     if readings is None:
-        units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
+        units = {i.column: "degC" for i in needed_inputs if i.kind in HISTORY_KINDS} | {"time": "s"}
         readings = Measurements({n: np.array(values[n]) for n in units}, units)
-    return build_frame(readings, {name_hold_flag(i.column): float(i.held) for i in needed})
+    return build_frame(readings, {name_hold_flag(i.column): float(i.held) for i in needed_inputs})
 
 
 def add_margin(span: tuple[float, float]) -> tuple[float, float]:
@@ -242,7 +242,7 @@ def build_provenance(equation: OperatingEquation) -> Provenance:
     )
 
 
-def time_origin(calibration: Calibration) -> str:
+def describe_time_origin(calibration: Calibration) -> str:
     """Describe the origin of the calibration's time in words."""
     if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
@@ -257,7 +257,7 @@ def list_clock_claims(equation: OperatingEquation) -> list[Claim]:
     last_time, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last_time, 6)} s" if since is None else format_date(since + last_time)
     dated_effects = calibration.dated_effects or ("the noise",)
-    return [Claim("use.dated", *dated_effects, clock=time_origin(calibration), end=end)]
+    return [Claim("use.dated", *dated_effects, clock=describe_time_origin(calibration), end=end)]
 
 
 def list_average_claims(calibration: Calibration) -> list[Claim]:
@@ -268,7 +268,7 @@ def list_average_claims(calibration: Calibration) -> list[Claim]:
 
 
 def list_use_claims(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
-    """Return claims on a compensation: averaging, dates, new members, held inputs, lags; missing stimulus range."""
+    """Return claims on averaging, dates, new members, held inputs, lags; unless `has_range`, on the stimulus range."""
     calibration = equation.calibration
     notes = [*list_average_claims(calibration), *list_clock_claims(equation)]
     if new_members := [u.name for u in equation.unknowns if is_new_member(u)]:
@@ -291,7 +291,7 @@ def list_use_claims(equation: OperatingEquation, has_range: bool) -> tuple[Claim
 
 
 SCHEMA, SCHEMA_VERSION = "bayescal.compensator", 3
-INPUT_KINDS = ("column", "elapsed", *PAST)
+INPUT_KINDS = ("column", "elapsed", *HISTORY_KINDS)
 
 
 @dataclass(frozen=True)
@@ -350,8 +350,8 @@ class CompensationProgram:
         covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))
         sd = np.sqrt(np.diag(covariance))
         scale = np.where(sd > 0, sd, 1.0)
-        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        eigenvalues, eigenvectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        root = (eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
         r = np.linalg.qr(root, mode="r") if len(sd) else root
         signs = np.where(np.diag(r) < 0, -1.0, 1.0)
         return scale[:, None] * (signs[:, None] * r).T + 0.0
@@ -426,10 +426,10 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
     nodes = [traced.expected, traced.noise, *traced.gradient.values()]
     graph, (expected, variance, slope, *gradient) = equation.graph.subgraph(nodes, constants)
     variance = graph.apply("mul", graph.constant(noise_level), variance)
-    nonzero = [i for i, node in enumerate(gradient) if graph.constant_value(node) != 0]
+    nonzero_indices = [i for i, node in enumerate(gradient) if graph.constant_value(node) != 0]
     shapes = {name: m[1:] for name, m in equation.shapes.items() if m[2] < 1}
-    pairs = ((unknowns[i], float(moments.mean[i])) for i in nonzero)
-    outputs = [expected, slope, variance, *(gradient[i] for i in nonzero)]
+    pairs = ((unknowns[i], float(moments.mean[i])) for i in nonzero_indices)
+    outputs = [expected, slope, variance, *(gradient[i] for i in nonzero_indices)]
     subgraph, (expected, slope, variance, *gradient) = graph.subgraph(outputs, {})
     stimulus_range = None
     if use.equation is None and readings.has(use.stimulus) and np.ptp(readings[use.stimulus]) > 0:
@@ -440,7 +440,7 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
         inputs=tuple(inputs),
         stimulus_range=stimulus_range,
         unknowns=tuple(ProgramUnknown(u.name, u.unit, m, shapes.get(u.key)) for u, m in pairs),
-        covariance=moments.covariance[np.ix_(nonzero, nonzero)].tolist(),
+        covariance=moments.covariance[np.ix_(nonzero_indices, nonzero_indices)].tolist(),
         affine=STIMULUS not in subgraph.inputs([slope]),
         equation=TracedEquation(subgraph.nodes, expected, slope, tuple(gradient), variance),
     )

@@ -21,8 +21,8 @@ from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
 from bayescal._model.composition import find_response_columns
 from bayescal._use.compensation_program import (
+    HISTORY_KINDS,
     NOT_RELIABLE,
-    PAST,
     CompensationProgram,
     Input,
     OutsideCalibration,
@@ -32,7 +32,7 @@ from bayescal._use.compensation_program import (
     list_needed_inputs,
     list_use_claims,
 )
-from bayescal._use.correction_files import as_text, format_of
+from bayescal._use.correction_files import as_text, choose_format
 from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
@@ -184,7 +184,7 @@ class Compensator:
 
     @property
     def dated(self) -> str:
-        """Return the names of effects that depend on the date, "it" without names; empty if time is not an input."""
+        """Return the names of effects that depend on the date ("it" for the noise); empty if time is not an input."""
         if all(i.name != "time" for i in self.inputs):
             return ""
         return ", ".join(self.calibration.dated_effects) or "it"
@@ -214,10 +214,10 @@ class Compensator:
         needed = dict.fromkeys(i.column for i in self.inputs)
         if self.history:
             needed["time"] = None
-        units = {"time": "s", **{i.column: "degC" for i in self.inputs if i.kind in PAST}}
+        units = {"time": "s", **{i.column: "degC" for i in self.inputs if i.kind in HISTORY_KINDS}}
         units |= {i.column: i.unit for i in self.inputs if i.kind == "column"}
-        declared = self.calibration.model.instrument.columns
-        by_name = {c.name: replace(c, required=True) for c in declared}
+        declared_columns = self.calibration.model.instrument.columns
+        by_name = {c.name: replace(c, required=True) for c in declared_columns}
         return (
             Column("output", self.about.output_unit, "reading"),
             Column("run", None, required=False),
@@ -244,7 +244,7 @@ class Compensator:
             ModelError: an effect cannot be exported.
             InputError: another format, an invalid C name, or a file that cannot be written.
         """
-        form = format_of(path, format)
+        form = choose_format(path, format)
         return write_text(as_text(self.program, form, name=name, uncertainty=uncertainty), path)
 
     @cached_property
@@ -286,12 +286,12 @@ def compensator(
     unrestricted = Compensator(calibration, equation_in_use(calibration, members), draws)
     model = calibration.model
     response_columns = find_response_columns(model.instrument, calibration.frame)
-    needed = calibration.usual_columns.union(model.noise.needs, response_columns)
-    if all(needed.issuperset(e.columns) for e in model.effects):
+    needed_columns = calibration.usual_columns.union(model.noise.needs, response_columns)
+    if all(needed_columns.issuperset(e.columns) for e in model.effects):
         return unrestricted
     held_inputs = tuple(
         (i.name, float(i.middle), i.unit)
         for i in list_needed_inputs(unrestricted.equation)
-        if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
+        if not needed_columns.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
     return replace(unrestricted, equation=replace(unrestricted.equation, held_inputs=held_inputs))

@@ -21,8 +21,8 @@ from bayescal._core.json_data import format_json
 from bayescal._core.quoting import format_digits, load_template, quote_python, to_identifier
 from bayescal._data.records import MAX_GAP_WINDOWS, RATE_WINDOW_S
 from bayescal._use.compensation_program import (
+    HISTORY_KINDS,
     INPUT_KINDS,
-    PAST,
     CompensationProgram,
     CorrectionInUse,
 )
@@ -47,7 +47,7 @@ class CorrectionKind(NamedTuple):
 
 # Names used by the templates.
 _WORDS = "reading stimulus inputs expected slope gradient noise square total values outside math j dt self state now"
-_OWN_WORDS = frozenset(_WORDS.split())
+_RESERVED_WORDS = frozenset(_WORDS.split())
 
 
 def render_program(
@@ -55,14 +55,14 @@ def render_program(
 ) -> str:
     """Render a compensation program as a C99 header or a Python module, from its template."""
     equation = program.equation
-    with_noise = (equation.noise, *equation.gradient) * uncertainty
-    outputs = (equation.expected, equation.slope), with_noise
+    noise_outputs = (equation.noise, *equation.gradient) * uncertainty
+    outputs = (equation.expected, equation.slope), noise_outputs
     if not uncertainty:  # without inputs that only the uncertainty needs
         needed = program.graph.inputs(outputs[0])
         program = replace(program, inputs=tuple(i for i in program.inputs if i.name in needed))
     fields: dict[str, str] = {}
     for i in program.inputs:
-        field = to_identifier(i.name, _OWN_WORDS | set(fields.values()))
+        field = to_identifier(i.name, _RESERVED_WORDS | set(fields.values()))
         fields[i.name] = f"{field}_" if re.fullmatch(r"t\d+", field) else field
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
     cholesky = program.cholesky_factor
@@ -73,7 +73,7 @@ def render_program(
         p=program,
         about=program.about,
         name=name,
-        guard=include_guard(name, expected, gradient, factor, program.inputs, uncertainty),
+        guard=format_guard(name, expected, gradient, factor, program.inputs, uncertainty),
         uncertainty=uncertainty,
         fields=fields,
         record=_record_variables(program, fields),
@@ -85,11 +85,11 @@ def render_program(
 
 
 def _record_variables(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
-    """Return the template's variables on a record: inputs by kind, columns as (field, unit), lags, window of rates."""
+    """Return template variables about a record's history: inputs by kind, columns as (field, unit), lags, window."""
     by_kind = {kind: [i for i in program.inputs if i.kind == kind] for kind in INPUT_KINDS}
     columns = {i.column: (fields[i.name], i.unit) for i in by_kind["column"]}
-    for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
-        names = {*_OWN_WORDS, *fields.values(), *(name for name, _ in columns.values())}
+    for i in (i for i in program.inputs if i.kind in HISTORY_KINDS and i.column not in columns):
+        names = {*_RESERVED_WORDS, *fields.values(), *(name for name, _ in columns.values())}
         columns.setdefault(i.column, (to_identifier(i.column, names), "degC"))
     lags = by_kind["lag"] + by_kind["lag slope"]
     window = max((i.tau or RATE_WINDOW_S for i in by_kind["rate"]), default=0.0)
@@ -105,7 +105,7 @@ def _record_variables(program: CompensationProgram, fields: Mapping[str, str]) -
     }
 
 
-def include_guard(name: str, *contents: Any) -> str:
+def format_guard(name: str, *contents: Any) -> str:
     """Return an include guard with which two different headers of the same name do not compile.
 
     A common guard would silently skip the second one. The value of this guard is a checksum of the header's content.
@@ -130,11 +130,11 @@ def wrap_writer(write: Callable[..., str], *arguments: Any) -> Writer:
     return lambda sensors, uncertainty: write(*sensors.values(), *arguments)
 
 
-def _render(language: Language, named: Mapping[str, Any], uncertainty: bool) -> str:
-    return "".join(render_program(p, language, n, uncertainty) for n, p in named.items())
+def _render(language: Language, programs: Mapping[str, Any], uncertainty: bool) -> str:
+    return "".join(render_program(p, language, n, uncertainty) for n, p in programs.items())
 
 
-ONE_OUTPUT = CorrectionKind(
+SINGLE_OUTPUT = CorrectionKind(
     correction_class=CompensationProgram,
     axes="one output",
     writers={"json": render_json, **{n: partial(_render, form) for n, form in LANGUAGES.items()}},
@@ -143,8 +143,8 @@ ONE_OUTPUT = CorrectionKind(
 
 
 def iter_kinds() -> Iterator[CorrectionKind]:
-    """Yield the kinds of corrections: `ONE_OUTPUT`, then those of annexes, which are loaded only then."""
-    yield ONE_OUTPUT
+    """Yield the kinds of corrections: `SINGLE_OUTPUT`, then those of annexes, which are loaded only then."""
+    yield SINGLE_OUTPUT
     for corrections in load_entries("corrections"):
         yield from corrections
 
@@ -154,7 +154,7 @@ def find_kind(correction: CorrectionInUse) -> CorrectionKind:
     return next(kind for kind in iter_kinds() if isinstance(correction, kind.correction_class))
 
 
-def sensor_name(name: str | None, instrument: str) -> str:
+def choose_name(name: str | None, instrument: str) -> str:
     """Return a sensor's name, valid in C and Python: the one given, else the instrument's.
 
     Raises:
@@ -170,17 +170,17 @@ def sensor_name(name: str | None, instrument: str) -> str:
     return name
 
 
-def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str]:
-    """Return the names of a device's sensors in C and Python: each its instrument's, prefixed by the unit's `name`.
+def name_sensors(name: str | None, corrections: Sequence[CorrectionInUse]) -> list[str]:
+    """Return names of a unit's sensors, valid in C and Python: those of the instruments with the unit's name as prefix.
 
     Raises:
         InputError: the name is not a valid identifier, or two sensors are of the same instrument.
     """
-    instruments = [correction.instrument for correction in unit]
-    if len(unit) == 1:
-        return [sensor_name(name, instruments[0])]
-    prefix = "" if name is None else f"{sensor_name(name, '')}_"
-    names = [sensor_name(None, f"{prefix}{instrument}") for instrument in instruments]
+    instruments = [correction.instrument for correction in corrections]
+    if len(corrections) == 1:
+        return [choose_name(name, instruments[0])]
+    prefix = "" if name is None else f"{choose_name(name, '')}_"
+    names = [choose_name(None, f"{prefix}{instrument}") for instrument in instruments]
     if doubles := [n for n in names if names.count(n) > 1]:
         raise InputError(
             f"two corrections are for the instrument {instruments[names.index(doubles[0])]}, but a unit has one sensor "
@@ -189,11 +189,11 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
     return names
 
 
-def format_of(path: str | Path | None, format: str | None) -> str:
+def choose_format(path: str | Path | None, format: str | None) -> str:
     """Return `format` if it is given, else the format that the path's suffix implies.
 
     Raises:
-        InputError: no format is given, and the suffix is that of none.
+        InputError: no format is given, and no format has this suffix.
     """
     suffix = Path(path or "").suffix.lower()
     form = format or next((k.suffixes[suffix] for k in iter_kinds() if suffix in k.suffixes), None)
@@ -228,8 +228,8 @@ def as_text(
     if format not in kind.writers:
         message = f"a correction of {kind.axes} cannot be written as {format!r}: choose {', '.join(kind.writers)}"
         raise InputError(message)
-    unit = [correction, *others]
-    sensors = dict(zip(names_in_unit(name, unit), unit, strict=True))
+    corrections = [correction, *others]
+    sensors = dict(zip(name_sensors(name, corrections), corrections, strict=True))
     if others and format not in kind.shared_formats:
         raise InputError(
             f"a file in {format} contains one triad: export several as {', '.join(kind.shared_formats)}, or each to a "

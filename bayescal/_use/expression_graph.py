@@ -155,24 +155,24 @@ class Graph:
             if values[0] is not None:
                 return args[1] if values[0] else args[2]
             return args[1] if args[1] == args[2] else None
-        first, second = args[0], args[-1]
+        first_node, second_node = args[0], args[-1]
         is_zero = [v is not None and v == 0 for v in values]
-        negated_node = self.nodes[second][1] if self.nodes[second][0] == "neg" else None
+        negated_node = self.nodes[second_node][1] if self.nodes[second_node][0] == "neg" else None
         if op == "neg":
             return negated_node
         if op in ("add", "sub") and is_zero[-1]:
-            return first
+            return first_node
         if op in ("add", "sub") and is_zero[0]:
-            return second if op == "add" else self.apply("neg", second)
+            return second_node if op == "add" else self.apply("neg", second_node)
         if op == "add" and negated_node is not None:
-            return self.apply("sub", first, negated_node)
+            return self.apply("sub", first_node, negated_node)
         if op in ("mul", "and") and any(is_zero):
             return self.constant(0.0)
         if op == "div" and is_zero[0]:
-            return first
+            return first_node
         for sign in (1, -1):  # as a factor or divisor
             if (op in ("mul", "div") and values[1] == sign) or (op == "mul" and values[0] == sign):
-                operand = second if op == "mul" and values[0] == sign else first
+                operand = second_node if op == "mul" and values[0] == sign else first_node
                 return operand if sign == 1 else self.apply("neg", operand)
         return None
 
@@ -317,7 +317,7 @@ class Symbols(np.ndarray):
     def __iter__(self) -> Any:
         return (self[i] for i in range(len(self)))
 
-    def astype(self, dtype: Any, *args: Any, **how: Any) -> Any:
+    def astype(self, dtype: Any, *args: Any, **options: Any) -> Any:
         """Convert Boolean symbols to numbers, or numbers to Boolean symbols."""
         if np.dtype(dtype).kind not in "fb":
             raise NotExportable("a covariate converted to an integer cannot be exported")
@@ -325,8 +325,8 @@ class Symbols(np.ndarray):
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         name, graph = ufunc.__name__, self.graph
-        if method == "__call__" and name in COMPOSED:
-            return COMPOSED[name](*map(graph.symbols, inputs))
+        if method == "__call__" and name in COMPOSED_FUNCTIONS:
+            return COMPOSED_FUNCTIONS[name](*map(graph.symbols, inputs))
         if name not in UFUNC_NAMES or method not in ("__call__", "reduce"):
             raise NotExportable(f"the operation {name!r} cannot be exported to C or Python")
         if method == "__call__":
@@ -378,7 +378,7 @@ def _multiply_matrices(x: Symbols, y: Symbols) -> Symbols:
 
 
 # NumPy functions composed of several operations.
-COMPOSED: dict[str, Callable[..., Symbols]] = {
+COMPOSED_FUNCTIONS: dict[str, Callable[..., Symbols]] = {
     "power": _raise_to_power,
     "matmul": _multiply_matrices,
     "square": lambda x: x * x,
@@ -425,15 +425,15 @@ def generate_statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
     """Return statements that compute the outputs, one per operation, and the expression of each output."""
-    text, lines = dict[int, str](), list[str]()
+    texts, statements = dict[int, str](), list[str]()
     for node in graph.dependencies(outputs):
         op, *args = graph.nodes[node]
         if op == "const":
-            text[node] = language.number(args[0])
+            texts[node] = language.number(args[0])
         elif op == "input":
-            text[node] = names[args[0]]
+            texts[node] = names[args[0]]
         else:
-            expression = getattr(OPERATIONS[op], language.name).format(*(text[a] for a in args))
-            text[node] = f"t{len(lines)}"
-            lines.append(language.statement.format(text[node], expression))
-    return lines, [text[o] for o in outputs]
+            expression = getattr(OPERATIONS[op], language.name).format(*(texts[a] for a in args))
+            texts[node] = f"t{len(statements)}"
+            statements.append(language.statement.format(texts[node], expression))
+    return statements, [texts[o] for o in outputs]

@@ -34,13 +34,13 @@ def _build_elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _multiply_arrays(p: Any, x: Any, y: Any) -> Any:
     """Multiply matrices or vectors, without batch dimensions."""
-    (x_axes, y_axes), (batch, _) = p["dimension_numbers"]
-    if batch:
+    (x_axes, y_axes), (batch_axes, _) = p["dimension_numbers"]
+    if batch_axes:
         raise NotExportable("matrix products with batch dimensions cannot be exported")
     axes = range(-len(x_axes), 0)
     a, b = np.moveaxis(x, x_axes, axes), np.moveaxis(y, y_axes, axes)
-    free = a.ndim - len(x_axes)
-    a = a.reshape(*a.shape[:free], *(1,) * (b.ndim - len(y_axes)), *a.shape[free:])
+    free_count = a.ndim - len(x_axes)
+    a = a.reshape(*a.shape[:free_count], *(1,) * (b.ndim - len(y_axes)), *a.shape[free_count:])
     return np.sum(a * b, axis=tuple(axes))
 
 
@@ -134,15 +134,15 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
     if any(isinstance(a, Symbols) for a in arguments[len(arrays) :]):
         raise NotExportable("an array index that depends on a covariate cannot be exported")
     graph = next(a.graph for a in arrays if isinstance(a, Symbols))
-    pool, indices = list[Any](), list[Any]()
+    all_elements, indices = list[Any](), list[Any]()
     for argument in arrays:
-        indices.append(len(pool) + np.arange(np.size(argument)).reshape(np.shape(argument)))
-        pool += np.asarray(argument, dtype=object).reshape(-1).tolist()
+        indices.append(len(all_elements) + np.arange(np.size(argument)).reshape(np.shape(argument)))
+        all_elements += np.asarray(argument, dtype=object).reshape(-1).tolist()
     options = {} if equation.params.get("fill_value") is None else {"fill_value": 0}
-    elements = np.empty(len(pool), dtype=object)
-    elements[:] = pool
+    elements = np.empty(len(all_elements), dtype=object)
+    elements[:] = all_elements
     results = _evaluate_primitive(equation, [*indices, *arguments[len(arrays) :]], **options)
-    return [graph.symbols(elements[np.asarray(places)]) for places in results]
+    return [graph.symbols(elements[np.asarray(positions)]) for positions in results]
 
 
 class Call:

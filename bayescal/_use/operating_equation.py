@@ -143,8 +143,8 @@ class OperatingEquation:
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Return the numeric columns of the fit's readings that may be inputs."""
-        not_inputs = (*NON_INPUT_COLUMNS, self.use.stimulus)
-        return tuple(sorted(n for n in self.calibration.frame.columns if n not in not_inputs))
+        excluded_names = (*NON_INPUT_COLUMNS, self.use.stimulus)
+        return tuple(sorted(n for n in self.calibration.frame.columns if n not in excluded_names))
 
     @cached_property
     def rates(self) -> tuple[tuple[str, str], ...]:
@@ -153,7 +153,7 @@ class OperatingEquation:
 
     @cached_property
     def shapes(self) -> dict[str, tuple[float, float, float]]:
-        """Return mean and standard deviation of each shape if its effect is present, and the effect's probability."""
+        """Return, by name, each shape's mean and sd conditional on its effect, and the effect's probability."""
         keys = {u.key for u in self.unknowns if u.block is None}
         rows = summary(self.calibration)[1] if keys else ()
         return {n: (r["mean"], r["sd"], r["probability"]) for r in rows if (n := r["name"]) in keys}
@@ -202,7 +202,7 @@ class OperatingEquation:
         inputs = {name: self._symbol(name) for name in (*self.columns, *dict(self.rates))}
         inputs |= {name: graph.symbols([value]) for name, value, _ in self.held_inputs}
         frame = self.build_frame_in_use(self._symbol(STIMULUS), inputs)
-        frame = replace(frame, lagged=partial(self._lagged, lags))
+        frame = replace(frame, lagged=partial(self._trace_lag, lags))
         terms = TermsInUse(model.instrument, frame, graph)
         fixed = {b.name: b.value for b in self.blocks if b.place == "fixed"} | dict(model.fixed)
         values = {name: graph.symbols([value]) for name, value in fixed.items()}
@@ -231,7 +231,7 @@ class OperatingEquation:
             lags=tuple(lags.values()),
         )
 
-    def _lagged(self, lags: dict[tuple[str, float], Lag], column: str, tau: Any) -> Symbols:
+    def _trace_lag(self, lags: dict[tuple[str, float], Lag], column: str, tau: Any) -> Symbols:
         """Return a lag: an input at the mean time constant, added to `lags`, plus its first-order change with τ."""
         node, means = self.graph.node_of(tau), {input_name(n): m[0] for n, m in self.shapes.items()}
         (mean,) = self.graph.evaluate([node], means)
@@ -254,8 +254,8 @@ class OperatingEquation:
     @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Return the names of the inputs on which the output or its noise depends."""
-        needed = self.graph.inputs([self.nodes.expected, self.nodes.noise])
-        return tuple(n for n in sorted(self.names) if n in needed)
+        needed_names = self.graph.inputs([self.nodes.expected, self.nodes.noise])
+        return tuple(n for n in sorted(self.names) if n in needed_names)
 
     @cached_property
     def affine(self) -> bool:
@@ -342,8 +342,8 @@ class OperatingEquation:
         """
         calibration, unknowns = self.calibration, self.unknowns
         (_, v), problem = calibration.draws(), calibration.problem
-        draw_count, random = len(v), np.random.default_rng(calibration.seed)
-        step = max(1, -(-draw_count // draws))
+        draw_count, rng = len(v), np.random.default_rng(calibration.seed)
+        thinning = max(1, -(-draw_count // draws))
         values, mean = np.zeros((draw_count, len(unknowns))), np.zeros(len(unknowns))
         new_members = [i for i, u in enumerate(unknowns) if is_new_member(u)]
         for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
@@ -351,22 +351,22 @@ class OperatingEquation:
             if u.block is None:  # where its effect is absent, it is replaced by its mean
                 values[~calibration.inclusion_masks[u.effect], i] = self.shapes[u.key][0]
             mean[i] = values[:, i].mean()
-        thin = values[::step].copy()
-        scaled = calibration.form_factor * (values - mean)
-        covariance = np.atleast_2d(np.cov(scaled.T)) if len(unknowns) else np.zeros((0, 0))
+        thin = values[::thinning].copy()
+        scaled_draws = calibration.form_factor * (values - mean)
+        covariance = np.atleast_2d(np.cov(scaled_draws.T)) if len(unknowns) else np.zeros((0, 0))
         for i in new_members:
             term = next(t for t in problem.terms if t.name == unknowns[i].key)
             sd = problem.member_sd(term, problem.hyper(v.T), draw_count)
             sd = sd * calibration.inclusion_masks[term.effect.name]
             mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(sd**2))
-            deviations = _draw_uncorrelated(thin - mean, sd[::step], covariance[i, i], random)
+            deviations = _draw_uncorrelated(thin - mean, sd[::thinning], covariance[i, i], rng)
             thin[:, i] = mean[i] + deviations
         for i, size in self.unfound_spreads.values():
             covariance[i, i] += size**2
-            thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, random)
+            thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, rng)
         # Shapes are not rescaled: they might leave their range.
         linear_indices = [i for i, u in enumerate(unknowns) if u.block is not None]
-        if step > 1 or calibration.form_factor != 1.0:
+        if thinning > 1 or calibration.form_factor != 1.0:
             target = mean[linear_indices], covariance[np.ix_(linear_indices, linear_indices)]
             thin[:, linear_indices] = _match_moments(thin[:, linear_indices], *target)
         return PosteriorMoments(thin, mean, covariance)
@@ -376,13 +376,13 @@ class OperatingEquation:
         """Return undetected deviations of a new run: effect → (index in θ, standard deviation)."""
         instrument, members = self.calibration.model.instrument, dict(self.members)
         indices, sds = {u.key: i for i, u in enumerate(self.unknowns)}, {}
-        for name, size in self.calibration.unfound_spreads.items():
+        for name, sd in self.calibration.unfound_spreads.items():
             effect = instrument.known[name]
             c = effect.coefficients[0]
             for b in self.blocks:
                 if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
-                    size *= compute_factor(instrument, effect, c) / b.factor
-                    sds[name] = indices[b.name], size
+                    sd *= compute_factor(instrument, effect, c) / b.factor
+                    sds[name] = indices[b.name], sd
                     break
         return sds
 
@@ -404,16 +404,16 @@ class OperatingEquation:
         inputs = {n: x[rows] for n, x in self.at_fit.items() if n in self.inputs}
         inputs[STIMULUS] = self.stimulus_at_fit[rows]
 
-        def mean_variance(values: Mapping[str, Any]) -> float:
+        def compute_mean(values: Mapping[str, Any]) -> float:
             parameters = {input_name(name): value for name, value in values.items()}
             (variance,) = self.graph.evaluate([self.nodes.noise], {**inputs, **parameters})
             return float(np.mean(variance + np.zeros_like(inputs[STIMULUS])))
 
         means = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
-        at_means = mean_variance(means)
+        variance_at_means = compute_mean(means)
         draws = {n: np.reshape(x, (-1, 1)) for n, x in problem.hyper(v.T).items()}
         # Zero variance: the readings have stated uncertainties only.
-        return means, mean_variance(draws) / at_means if at_means > 0 else 1.0
+        return means, compute_mean(draws) / variance_at_means if variance_at_means > 0 else 1.0
 
 
 def equation_in_use(
@@ -451,17 +451,17 @@ def _draw_uncorrelated(
     regressor_draws: Float[np.ndarray, "d p"],
     sd: Float[np.ndarray, "d"],
     variance: float,
-    random: np.random.Generator,
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "d"]:
-    """Draw values of mean 0, sds ∝ `sd` and sample variance `variance`, whose sample correlation with others is 0."""
+    """Draw values of mean 0, sds ∝ `sd`, sample variance `variance` and sample correlation 0 with the regressors."""
     regressor_sd = regressor_draws.std(axis=0)
     regressor_draws = regressor_draws[:, regressor_sd > 0] / regressor_sd[regressor_sd > 0]
     regressor_draws = regressor_draws[:, : len(sd) // 2]  # fewer for few draws
     regressors = sd[:, None] * np.column_stack([np.ones(len(sd)), regressor_draws])
-    values = random.standard_normal(len(sd))
+    values = rng.standard_normal(len(sd))
     values = sd * (values - regressors @ np.linalg.lstsq(regressors, values, rcond=None)[0])
-    variance_of_values = float(values @ values) / (len(values) - 1)
-    return values * (variance / variance_of_values) ** 0.5 if variance_of_values > 0 else values
+    sample_variance = float(values @ values) / (len(values) - 1)
+    return values * (variance / sample_variance) ** 0.5 if sample_variance > 0 else values
 
 
 def _match_moments(
@@ -469,7 +469,7 @@ def _match_moments(
     mean: Float[np.ndarray, "p"],
     covariance: Float[np.ndarray, "p p"],
 ) -> Float[np.ndarray, "d p"]:
-    """Transform thinned draws linearly to the mean and covariance of all draws.
+    """Transform draws linearly to a given mean and covariance; too few draws (2 per unknown or less) are unchanged.
 
     Results from draws and from propagated moments then agree where the equation is linear.
     """
@@ -478,11 +478,11 @@ def _match_moments(
     if len(draws) <= 2 * len(indices):
         return draws
     scores = (draws - draws.mean(axis=0))[:, indices] / sd[indices]
-    target = covariance[np.ix_(indices, indices)] / np.outer(sd[indices], sd[indices])
+    target_correlation = covariance[np.ix_(indices, indices)] / np.outer(sd[indices], sd[indices])
     square_roots = []
-    for matrix in (scores.T @ scores / (len(draws) - 1), target):
-        values, vectors = np.linalg.eigh(matrix)
-        square_roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    for matrix in (scores.T @ scores / (len(draws) - 1), target_correlation):
+        eigenvalues, eigenvectors = np.linalg.eigh(matrix)
+        square_roots.append((eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ eigenvectors.T)
     matched_draws = np.tile(mean, (len(draws), 1))
     white_scores = scores @ np.linalg.pinv(square_roots[0], hermitian=True)
     matched_draws[:, indices] += white_scores @ square_roots[1] * sd[indices]
@@ -501,19 +501,19 @@ def solve_over_draws(
     Lags are computed from the record at each draw's time constants; without a record they are inputs.
     """
     draw_count, block_size = len(theta), max(1, MAX_BLOCK_SIZE // len(output))
-    origin, sums, values = np.zeros(len(output)), np.zeros((3, len(output))), dict(inputs)
+    origin, sums, input_values = np.zeros(len(output)), np.zeros((3, len(output))), dict(inputs)
     for start in range(0, draw_count, block_size):
         draws = theta[start : start + block_size]
         for lag in equation.nodes.lags if record is not None else ():
             (tau,) = equation.evaluate([lag.node], draws, 0.0, {})
-            values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
+            input_values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
             if lag.slope:
-                values[lag.slope] = np.zeros(1)  # the lag is at this τ already
-        solution = equation.solve(draws, output, values)
+                input_values[lag.slope] = np.zeros(1)  # the lag is at this τ already
+        solution = equation.solve(draws, output, input_values)
         s, slope = (np.broadcast_to(array, (len(draws), len(output))) for array in solution)
         if start == 0:  # origin of the sums, to avoid cancellation
             origin = s.mean(axis=0)
         offset = s - origin
-        sums += [part.sum(axis=0) for part in (offset, offset**2, slope**-2.0)]
+        sums += [column.sum(axis=0) for column in (offset, offset**2, slope**-2.0)]
     mean = sums[0] / draw_count
     return origin + mean, (sums[1] - sums[0] * mean) / max(draw_count - 1, 1), sums[2] / draw_count

@@ -97,7 +97,7 @@ class TriadCommand(TriadOptions, ws.Command):
     dry_run: bool = ws.opt("List unidentified parameters and poses to add, without a fit.", False)
 
     def answer(self) -> ws.Answer:
-        ws.sensor_name(self.name, "")  # refused before minutes of calibration
+        ws.choose_name(self.name, "")  # refused before minutes of calibration
         if self.poses and self.shortest is not None:
             raise bc.InputError("--shortest applies to logs: omit it or --poses")
         if ws.instrument_named(self.instrument).vector is None:
@@ -122,7 +122,7 @@ class ImuCommand(TriadOptions, ws.Command):
     gyroscopes: str | None = ws.opt("Gyroscope columns gx,gy,gz; default: common names.")
 
     def answer(self) -> ws.Answer:
-        ws.sensor_name(self.name, "")  # refused before minutes of calibration
+        ws.choose_name(self.name, "")  # refused before minutes of calibration
         with ws.create_result_folder(self.out) as folder:
             (accs, forces), (gyros, rates) = self.read_logs()
             poses = bc.poses(forces, accs, min_duration=self.shortest)
@@ -162,7 +162,7 @@ class ImuCommand(TriadOptions, ws.Command):
 def _write_results(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
     """Write the search, the corrections and the readings of each triad to a staging folder, without figures."""
     first, *others = (triad.correction for triad in triads.values())
-    names = ws.names_in_unit(name, [first, *others])
+    names = ws.name_sensors(name, [first, *others])
     for (subfolder, triad), sensor in zip(triads.items(), names, strict=True):
         ws.write_search(triad.search_path, folder / subfolder)
         for file in CORRECTION_FILES:

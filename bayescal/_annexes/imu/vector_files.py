@@ -21,7 +21,7 @@ def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty
 
     def render_header(name: str, c: VectorCorrection) -> str:
         content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high)
-        fields = {"c": c, "name": name, "guard": ws.include_guard(name, *content, with_uncertainty)}
+        fields = {"c": c, "name": name, "guard": ws.format_guard(name, *content, with_uncertainty)}
         fields |= {"uncertainty": with_uncertainty, "recorded": c.low is not None}
         fields["plain"] = not with_uncertainty and c.terms.shape == (1, 12)  # no equation to solve
         fields |= {"thermal": len(c.terms) > 1, "inverse": np.linalg.inv(c.matrix).tolist()}
@@ -81,4 +81,4 @@ def export_vector(
             triads of one instrument, an invalid C name, or a file that cannot be written.
     """
     options = {"name": name, "others": others, "uncertainty": uncertainty}
-    return ws.write_text(ws.as_text(correction, ws.format_of(path, format), **options), path)
+    return ws.write_text(ws.as_text(correction, ws.choose_format(path, format), **options), path)

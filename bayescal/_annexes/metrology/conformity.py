@@ -430,7 +430,7 @@ def find_quantity(
     else:
         dependencies = {*equation.inputs, compensator.stimulus}
     # `undecided_reasons` has the notes on ranges outside the calibration.
-    notes += ws.list_budget_claims(compensator, of_correction=limit.quantity not in slots)
+    notes += ws.list_budget_claims(compensator, is_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
         notes.append(
             f"{MEAN!r} excludes correlated noise, which averaging readings close in time does not remove."
@@ -503,7 +503,7 @@ def _resolve_range(
         raise bc.InputError(
             f"limit {limit.text!r}: {span.name!r} is not a column of this calibration (it has: {', '.join(units)})"
         )
-    past_inputs = {i.name for i in compensator.inputs if i.kind in ws.PAST}
+    past_inputs = {i.name for i in compensator.inputs if i.kind in ws.HISTORY_KINDS}
     matches = {n for n, u in units.items() if ws.same_dimension(u, span.unit or "1")}
     candidates = [n for n in inputs if n in matches - past_inputs] or sorted(matches)
     names = [span.name] if span.name else candidates

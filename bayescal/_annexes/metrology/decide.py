@@ -327,7 +327,7 @@ def _format_point(at: Mapping[str, tuple[float, float, str]]) -> str:
         ends, unit = ([*map(math.degrees, ends)], "deg") if unit == "rad" else (ends, unit)
         value = " to ".join(dict.fromkeys(ws.number(end, 4) for end in ends))
         texts[name] = f"{value} {ws.unit_label(unit)}"
-    return ws.list_inputs(texts, {name: unit for name, (*_, unit) in at.items()})
+    return ws.format_inputs(texts, {name: unit for name, (*_, unit) in at.items()})
 
 
 def format_percent(p: float, error: float = 0.0) -> str:
