@@ -158,12 +158,12 @@ from ._search.calibrate import QUICK as QUICK
 
 # the search: structures, their posterior, the loop over them, its steps
 from ._search.calibrate import StepwiseSearch as StepwiseSearch
-from ._search.calibrate import step_of as step_of
+from ._search.calibrate import check_step as check_step
 from ._search.discover import SEARCH_TIME_SHARE as SEARCH_TIME_SHARE
 from ._search.discover import enumerate_structures as enumerate_structures
 from ._search.gate import assess_steps as assess_steps
 from ._search.library import Library as Library
-from ._search.noise_laws import laws_over as laws_over
+from ._search.noise_laws import list_laws as list_laws
 from ._search.own_files import is_file_reference as is_file_reference
 from ._search.posterior import Posterior as Posterior
 from ._search.search_path import Step as Step

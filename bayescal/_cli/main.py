@@ -27,7 +27,7 @@ from bayescal._core.annex import load_entries
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
 from bayescal._core.lazy_jax import ignore_local_configuration
 from bayescal._core.quoting import to_printable
-from bayescal._search.own_files import format_error, own_file_line
+from bayescal._search.own_files import find_file_line, format_error
 
 # New objects between two garbage collections; collecting a million takes a quarter of a second. With Python's default
 # of 700 there are thirty collections while modules load.
@@ -112,7 +112,7 @@ def _format_user_error(error: BaseException) -> str:
         return "out of memory: average the readings (--average), or provide more memory"
     if isinstance(error, OSError):
         return f"{error.filename or 'standard output, or a file'}: {error.strerror or error}"
-    file, line = own_file_line(error)
+    file, line = find_file_line(error)
     if line:  # an exception in the user's code, such as a basis
         return f"{file}, line {line} failed: {format_error(error)}. Correct it, or omit --effects"
     usage = getattr(error, "format_message", None)  # an option that the parser refused

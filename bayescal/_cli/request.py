@@ -127,10 +127,10 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
 def find_noise_law(name: str, model: Model, readings: Measurements) -> Noise:
     """Return a noise law by name: that of the model, or one that a search would compare for these readings."""
     from bayescal._model.frame import build_frame, reference_of
-    from bayescal._search.noise_laws import laws_over
+    from bayescal._search.noise_laws import list_laws
 
     frame = build_frame(readings, reference_of(readings))
-    models = {model.noise.name: model.noise, **laws_over(model, frame)}
+    models = {model.noise.name: model.noise, **list_laws(model, frame)}
     if name not in models:
         raise InputError(
             f"--noise {name!r} is not one of {', '.join(models)}. For your own law, also give its file: "

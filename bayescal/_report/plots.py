@@ -30,7 +30,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
 from bayescal._report.report_text import describe_change
 from bayescal._search.discover import Discovery, is_quiet
-from bayescal._search.search_path import SearchPath, new_run_differs
+from bayescal._search.search_path import SearchPath, differs_in_new_run
 
 MAX_LABEL = 32  # characters; longer labels leave no room for the axes
 MAX_TITLE = 52  # characters; longer titles are wrapped
@@ -189,7 +189,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = ""
     left_out, last_step = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
     ax = open_axes(ax, 5.6, 0.75 + 1.0 * len(steps))
     # Without an effect of a run there is no second bar.
-    runs = new_run_differs(steps)
+    runs = differs_in_new_run(steps)
     series = [
         ("as fitted", [s["rmse_fitted"] for s in steps], BLUE),
         ("new run", [s["rmse"] if runs else None for s in steps], PALE),

@@ -33,7 +33,7 @@ from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
-from bayescal._search.calibrate import step_of
+from bayescal._search.calibrate import check_step
 from bayescal._search.discover import Discovery, discover
 from bayescal._search.gate import assess_last
 from bayescal._search.next_experiment import NextExperiment
@@ -321,5 +321,5 @@ def to_search_path(calibration: Calibration, effects: tuple[Effect, ...] = ()) -
     catalogue = calibration.model.instrument.known
     candidates = (*(e for e in calibration.model.effects if e.name not in catalogue), *effects)
     discovery = discover(calibration, effects=candidates) if calibration.verdict.ok else None
-    step = replace(step_of(calibration), discovery=discovery)
+    step = replace(check_step(calibration), discovery=discovery)
     return SearchPath((step,), assess_last([step]), None)

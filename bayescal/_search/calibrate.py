@@ -120,7 +120,7 @@ class StepwiseSearch:
     reference: Reference | None
     max_effects: int
     accepted_conflicts: frozenset[str]
-    started: float = 0.0  # by `time.monotonic`, s
+    started: float = 0.0  # time by `time.monotonic` at which the search began, s
     reconsidered: tuple[Effect, ...] = ()  # effects of the given model that are evaluated anew
     steps: list[Step] = field(default_factory=list)  # models fitted so far
     library: Library | None = None  # candidates and evaluated structures; None without a search
@@ -128,9 +128,9 @@ class StepwiseSearch:
     stopped: str = ""  # why the search ended early; empty where it was completed
 
     def fit_first_step(self, model: Model, effects: Sequence[Effect], widen_noise: bool) -> None:
-        """Fit the first step, the model without effects that are evaluated anew, and set the structures to search.
+        """Fit the first step, a model without the effects that are evaluated anew, and set the structures to search.
 
-        An effect kept only because the given model had it would hide substitutes that a search from the baseline finds.
+        An effect kept only because the given model has it would hide substitutes that a search from the baseline finds.
         """
         known_names = (*model.names, *model.instrument.known, *(e.name for e in effects), "noise")
         for name in self.accepted_conflicts:
@@ -231,15 +231,15 @@ class StepwiseSearch:
     def iterate_path(
         self, goal: Structure, start: Structure | None = None
     ) -> Iterator[tuple[Structure | None, Structure, discover.Discovery | None]]:
-        """Yield (previous structure, structure, missing effects) for each step to a goal; fewer if time is short."""
+        """Yield (previous structure, structure, missing effects) of each step to a goal; fewer if time is short."""
         assert self.library is not None
-        with_discovery = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
+        has_discovery = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
         previous, steps = None, [start or Structure(), goal]
-        with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2) as half:
+        with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2) as half_limit:
             steps = steps if self.stopped else find_path(self.library, goal, steps[0])
         for structure in dict.fromkeys(steps):
-            if previous is None or structure == goal or not half.is_over:
-                yield previous, structure, self.find_missing(structure) if with_discovery else None
+            if previous is None or structure == goal or not half_limit.is_over:
+                yield previous, structure, self.find_missing(structure) if has_discovery else None
                 previous = structure
 
     def fit_path(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
@@ -267,7 +267,7 @@ class StepwiseSearch:
     def average_path(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
-        """Return the search path of given steps, the last of which is assessed and averaged over the structures."""
+        """Return the search path of given steps; the last one is assessed, and averaged over the structures."""
         structures, (*earlier, last) = self.structures, steps
         if (discovery := last.discovery) is not None:
             if reason := "" if self.stopped else self.why_incomplete(steps):
@@ -285,17 +285,17 @@ class StepwiseSearch:
             except deadline.TimeIsUp as early:
                 last = last.with_notes([f"Not averaged over structures ({early})."])
                 average = last.calibration
-            single, average = add_latent_effects(last.calibration, average, structures, goal)
-            last = replace(last, calibration=single)
+            single_fit, average = add_latent_effects(last.calibration, average, structures, goal)
+            last = replace(last, calibration=single_fit)
         is_single = last.calibration is average
         steps, gate = assess_steps([*earlier, self.test_on_holdout(last, average, structures)])
         if self.max_effects > 0 and average.verdict.ok:
             discovery = last.discovery
-            complete = discovery.nothing_missing if discovery and gate.ok else None
+            completeness = discovery.nothing_missing if discovery and gate.ok else None
             *earlier, last = steps
             pair = last.calibration, average
-            single, average = (add_inadequacy(c, complete, structures, goal) for c in pair)
-            steps = [*earlier, replace(last, calibration=single)]
+            single_fit, average = (add_inadequacy(c, completeness, structures, goal) for c in pair)
+            steps = [*earlier, replace(last, calibration=single_fit)]
         search = search or self.summarise_search(complete=not self.stopped, stopped=self.stopped)
         options = {"other_path": _find_other_path(structures), "search": search, "shares": shares}
         path = SearchPath(tuple(steps), gate, self.holdout, **options)
@@ -307,7 +307,7 @@ class StepwiseSearch:
         return replace(path, average=average.with_verdict(**last_verdict, notes=tuple(notes)))
 
     def test_on_holdout(self, step: Step, in_use: Calibration, structures: Structures) -> Step:
-        """Test the calibration in use on the hold-out data; return the last step with the result of the test."""
+        """Return the step with a test of the calibration to use, `in_use`, on the hold-out data, if there are any."""
         if self.holdout is None or step.holdout_test is None:
             return step
         candidates = step.discovery.candidates if step.discovery else ()
@@ -318,8 +318,8 @@ class StepwiseSearch:
             c = effect.coefficients[0]
             if c.per != "run" or c.group_sd is None or effect.shapes or name in in_use.model.names:
                 continue
-            minimum = detectable_sizes.get(name)
-            deviations.append((effect, c.size if minimum is None else min(c.size, minimum)))
+            min_size = detectable_sizes.get(name)
+            deviations.append((effect, c.size if min_size is None else min(c.size, min_size)))
         test = HoldoutTest(in_use, self.holdout, predict(in_use, self.holdout), tuple(deviations))
         return replace(step, holdout_test=test)
 
@@ -327,10 +327,10 @@ class StepwiseSearch:
         self, structure: Structure, previous: Structure | None, is_last: bool = False
     ) -> Step:
         """Fit and check a structure as the step that follows `previous`; fit the last step by the user's method."""
-        evaluated = self.structures.evaluate(structure)
-        model = evaluated.sized_model
+        evaluation = self.structures.evaluate(structure)
+        model = evaluation.sized_model
         method = self.method if is_last else self.step_method(model)
-        step, added, description = self.fit_step(model, method, evaluated.phi), None, ""
+        step, added, description = self.fit_step(model, method, evaluation.phi), None, ""
         if previous is not None:
             added = " + ".join(sorted(structure.effects - previous.effects)) or None
             if structure.noise != previous.noise:
@@ -362,23 +362,23 @@ class StepwiseSearch:
         options: dict[str, Any] = {"seed": self.seed, "reference": self.reference, "start": start}
         calibration = fit(model, self.readings, method, strict=False, **options)
         with track("checking"):
-            return step_of(calibration, self.holdout, self.accepted_conflicts)
+            return check_step(calibration, self.holdout, self.accepted_conflicts)
 
     def summarise_search(self, *, complete: bool = False, stopped: str = "") -> Search | None:
-        """Return a summary of the search so far."""
+        """Return a summary of the search so far; None if no search is run."""
         if self.library is None:
             return None
         how = {"seconds": time.monotonic() - self.started, "max_effects": self.max_effects}
         return Search.summarise(self.library.structures, complete=complete, stopped=stopped, **how)
 
 
-def step_of(
+def check_step(
     calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
-    """Check a fit and return it as a step with its errors; raise InputError for readings without noise."""
+    """Check a fit and return it as a step with its errors; InputError if noise is below the output's precision."""
     if message := judgement.explain_missing_noise(calibration):
         raise InputError(message)
-    checks, floor, prediction, test = check(calibration), noise_floor(calibration), None, None
+    checks, floor_sd, prediction, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:
         prediction = predict(calibration, holdout)
         test = HoldoutTest(calibration, holdout, prediction)
@@ -390,10 +390,10 @@ def step_of(
         holdout_rmse=None if prediction is None else prediction.rmse,
         holdout_test=test,
         leave_one_group_out=leave_one_group_out(calibration),
-        noise_floor=floor,
+        noise_floor=floor_sd,
         check=checks,
         discovery=None,
-        failures=judgement.contradictions(calibration, floor, accepted),
+        failures=judgement.contradictions(calibration, floor_sd, accepted),
         outlying_groups=tuple(judgement.group_conflicts(judgement.Subject(calibration, accepted))),
     )
 
@@ -405,7 +405,7 @@ def prepare_readings(
     keep_spikes: bool,
     *causes: Any,
 ) -> tuple[Measurements, Measurements | None]:
-    """Return readings and hold-out data on a common clock, without outliers, with a flag if they share a run."""
+    """Return readings and hold-out data on a common clock, without outliers, with a flag if the data share readings."""
     readings = discover.restrict_causes(readings, model.instrument, *causes)
     clean = set_aside(readings, keep_spikes, model.columns)
     if holdout is None:
@@ -427,12 +427,12 @@ def _find_other_path(structures: Structures) -> OtherPath | None:
     """Return the best model under another noise law, if its effects differ and it is nearly as probable."""
     best, window = structures.best, settings().strong_evidence
     others = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
-    other = max(others, key=lambda w: w.log_posterior, default=None)
-    if other is None or not structures.is_in_window(other.log_posterior, window):
+    other_fit = max(others, key=lambda w: w.log_posterior, default=None)
+    if other_fit is None or not structures.is_in_window(other_fit.log_posterior, window):
         return None
-    if other.structure.effects == best.structure.effects:
+    if other_fit.structure.effects == best.structure.effects:
         return None
-    law, log_ratio = other.problem.noise, other.log_posterior - best.log_posterior
+    law, log_ratio = other_fit.problem.noise, other_fit.log_posterior - best.log_posterior
     is_correlated = law.independent != best.problem.noise.independent
-    effects = tuple(sorted(other.structure.effects))
+    effects = tuple(sorted(other_fit.structure.effects))
     return OtherPath(law.name, effects, log_ratio, law.in_words, is_correlated)

@@ -30,7 +30,7 @@ from bayescal._search.shared_shape import CavityPrior, ShapeEvidence, SharedShap
 from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 from bayescal._search.walk import BEAM_STRUCTURES
 
-MAX_ROUNDS = 3  # of message passing between the channels, at most
+MAX_ROUND_COUNT = 3  # of message passing between the channels, at most
 Follow = Callable[[str, SearchPath], None]
 # Ratio of the error of a new run to the error as fitted, above which both are printed.
 NEW_RUN_RATIO = 1.1
@@ -43,7 +43,7 @@ class Channels(Printed):
 
     search_paths: Mapping[str, SearchPath]  # of each channel, by name
     shared: tuple[SharedShape, ...]  # evidence of all channels on each effect with a shared shape
-    # Writes all results to a folder; attached by `save_search.py`.
+    # Method that writes all results to a folder; attached by `save_search.py`.
     save: ClassVar[Callable[..., None]]
 
     @property
@@ -74,7 +74,7 @@ class Channels(Printed):
         return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
 
     def _list_columns(self) -> dict[str, list[Any]]:
-        """Return columns with a row for each channel's last model: errors, and mean sizes of effects in their units."""
+        """Return columns by name, an entry per channel: errors, and effects' mean sizes in the last model."""
         last_steps = [path.final for path in self.search_paths.values()]
         return {
             "channel": list(self.search_paths),
@@ -92,9 +92,9 @@ class Channels(Printed):
     def _list_rows(self) -> list[list[str]]:
         """Return the printed rows, with a column for each channel; the first row is the header."""
         paths, columns = self.search_paths.values(), self._list_columns()
-        new_run_differs = any(p.final.rmse > NEW_RUN_RATIO * p.final.rmse_fitted for p in paths)
+        has_new_run = any(p.final.rmse > NEW_RUN_RATIO * p.final.rmse_fitted for p in paths)
         has_holdout = any(p.holdout is not None for p in paths)
-        names = ["as fitted, first model", "as fitted, last", *["new run, last"] * new_run_differs]
+        names = ["as fitted, first model", "as fitted, last", *["new run, last"] * has_new_run]
         names += [*["held out, first", "held out, last"] * has_holdout, "noise floor"]
         rows = [["", *self.search_paths], ["unit", *map(unit_label, columns["unit"])]]
         rows += [[name, *map(number, columns[name])] for name in names]
@@ -181,9 +181,9 @@ def calibrate_channels(
     with deadline.limit(time_limit):
         for i, (name, model) in enumerate(models.items(), 1):
             pair = readings[name], None if holdout is None else holdout[name]
-            used_records = prepare_readings(model, *pair, keep_spikes, ignore, covariates)
+            clean_records = prepare_readings(model, *pair, keep_spikes, ignore, covariates)
             options = method, to_seed(seed), reference, max_effects
-            search = StepwiseSearch(*used_records, *options, frozenset(accept_conflicts))
+            search = StepwiseSearch(*clean_records, *options, frozenset(accept_conflicts))
             with track(f"{name}, channel {i} of {count}"):
                 search.fit_first_step(model, effects, widen_noise)
             channels.append(_Channel(name, search))
@@ -195,15 +195,15 @@ def calibrate_channels(
                 c.search.run_search(lambda c=c: follow(c.name, c.search.build_path()))
                 with suppress(deadline.TimeIsUp):
                     c.evaluate_shapes()
-        shared = unit.combine_evidence()
+        shared_shapes = unit.combine_evidence()
         with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2):
             for name in unit.propagate_evidence():
                 follow(name, unit.channels[name].search.build_path())
-                shared = unit.combine_evidence()
+                shared_shapes = unit.combine_evidence()
         for i, c in enumerate(channels):
             with track(f"{c.name}, channel {i + 1} of {count}"), deadline.shorten(1 / (count - i)):
                 paths[c.name] = c.search.fit_path(partial(follow, c.name))
-    return Channels(paths, tuple(shared.values()))
+    return Channels(paths, tuple(shared_shapes.values()))
 
 
 @dataclass(eq=False)
@@ -222,8 +222,8 @@ class _Channel:
     def __post_init__(self) -> None:
         if self.search.library is not None and self.search.max_effects > 0:
             structures = self.search.structures
-            of_all = ((n, e.shared_shape) for n, e in structures.candidates.items())
-            self.shared = {n: shape for n, shape in of_all if shape is not None}
+            all_shapes = ((n, e.shared_shape) for n, e in structures.candidates.items())
+            self.shared = {n: shape for n, shape in all_shapes if shape is not None}
             for n, s in self.shared.items():
                 self.prior_from_others[n] = CavityPrior(structures.log_odds[n], s.low, s.high)
 
@@ -245,43 +245,43 @@ class _Channel:
         """
         if self.search.library is None:
             return False
-        old, needs_search, changed = self.search.library.structures, False, set[str]()
+        old, needs_search, changed_names = self.search.library.structures, False, set[str]()
         for n, shape in self.shared.items():
             pair = priors[n], self.prior_from_others[n]
             current, previous = (self.evidence[n].update(prior, shape) for prior in pair)
-            probability_changed, is_changed = current.differs_from(previous)
-            needs_search |= probability_changed
-            changed |= {n} if is_changed else set()
-        if not changed:
+            is_probability_changed, is_changed = current.differs_from(previous)
+            needs_search |= is_probability_changed
+            changed_names |= {n} if is_changed else set()
+        if not changed_names:
             return False
         # An unchanged shape keeps its prior range; all log odds are the new ones.
-        ranges = {n: p[1:] for n, p in self.prior_from_others.items() if n not in changed}
+        ranges = {n: p[1:] for n, p in self.prior_from_others.items() if n not in changed_names}
         new_prior = {n: CavityPrior(p.log_odds, *ranges.get(n, p[1:])) for n, p in priors.items()}
         earlier = {**old.previous_round, **old.visited}
-        structures = replace(self._set_priors(new_prior, changed), previous_round=earlier)
+        structures = replace(self._set_priors(new_prior, changed_names), previous_round=earlier)
 
-        def prior_change(s: Structure) -> float:
+        def compute_prior_change(s: Structure) -> float:
             return structures.log_prior(s) - old.log_prior(s)
 
         def correct_fit(w: EvaluatedStructure, log_change: float = 0.0) -> EvaluatedStructure:
-            log_prior = w.log_prior + prior_change(w.structure)
+            log_prior = w.log_prior + compute_prior_change(w.structure)
             return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + log_change)
 
-        unchanged_fits = (w for s, w in old.visited.items() if s.effects.isdisjoint(changed))
+        unchanged_fits = (w for s, w in old.visited.items() if s.effects.isdisjoint(changed_names))
         structures.visited.update({w.structure: correct_fit(w) for w in unchanged_fits})
         fits, changes = sorted(old.visited.values(), key=lambda w: -w.log_posterior), {}
         for fit in reversed(fits[:BEAM_STRUCTURES]):
             deadline.current().raise_if_over()
             current = structures.evaluate(fit.structure)
-            changes[fit.structure.effects & changed] = current.log_evidence - fit.log_evidence
+            changes[fit.structure.effects & changed_names] = current.log_evidence - fit.log_evidence
         structures.evaluate(Structure())
         # Log posteriors of the previous round, corrected by two changes: of the prior odds, and of the log evidence, as
         # in the most probable structure that has exactly these of the effects with a new range.
         for s, fit in earlier.items():
-            earlier[s] = correct_fit(fit, changes.get(s.effects & changed, 0.0))
+            earlier[s] = correct_fit(fit, changes.get(s.effects & changed_names, 0.0))
             structures.store_score(s, earlier[s].log_posterior)
         for s in old.scores.keys() - earlier.keys():
-            log_change = prior_change(s) + changes.get(s.effects & changed, 0.0)
+            log_change = compute_prior_change(s) + changes.get(s.effects & changed_names, 0.0)
             structures.store_score(s, old.scores[s] + log_change)
         search = replace(self.search, library=Library(structures))
         if needs_search:
@@ -293,15 +293,15 @@ class _Channel:
         return True
 
     def _set_priors(self, priors: Mapping[str, CavityPrior], shapes: Collection[str]) -> Structures:
-        """Return the channel's structures, none evaluated, with new prior odds of effects and ranges of `shapes`."""
+        """Return the channel's structures, none evaluated, with new prior odds and new ranges of the given shapes."""
         base = self.search.structures
         candidates = dict(base.candidates)
         for name in shapes:
             # The cavity range, from the other channels alone, is the next prior: a channel's own evidence counts once.
             shape_range = {self.shared[name].name: (priors[name].low, priors[name].high)}
             candidates[name] = candidates[name].with_ranges(shape_range)
-        odds = {n: prior.log_odds for n, prior in priors.items()}
-        return replace(base, candidates=candidates, stated_log_odds=odds, visited={}, scores={})
+        log_odds = {n: prior.log_odds for n, prior in priors.items()}
+        return replace(base, candidates=candidates, stated_log_odds=log_odds, visited={}, scores={})
 
     def evaluate_shapes(self) -> None:
         """Compute the channel's evidence on each shared shape from its evaluated structures."""
@@ -324,14 +324,14 @@ class _Unit:
 
     def combine_evidence(self) -> dict[str, SharedShape]:
         """Return the combined evidence of the channels searched on each shared shape, by effect."""
-        shared = {}
+        shared_shapes = {}
         for n, shape in self.shapes.items():
             if ratios := {c.name: c.evidence[n] for c in self.channels.values() if n in c.evidence}:
-                shared[n] = SharedShape.from_evidence(n, shape, self.prior[n], ratios)
-        return shared
+                shared_shapes[n] = SharedShape.from_evidence(n, shape, self.prior[n], ratios)
+        return shared_shapes
 
     def cavity_priors(self, channel: _Channel) -> dict[str, CavityPrior]:
-        """Return a channel's prior from the other channels, for each effect whose shape it shares with them."""
+        """Return a channel's prior from the other channels, by effect whose shape it shares with them."""
         shared = self.combine_evidence()
         return {n: shared[n].cavity_prior(channel.name) for n in channel.shared if n in shared}
 
@@ -341,13 +341,13 @@ class _Unit:
             if not c.evidence:  # there was no time yet
                 c.evaluate_shapes()
         # Coordinate ascent on the joint posterior, one channel at a time: simultaneous updates would oscillate.
-        for _ in range(MAX_ROUNDS):
-            any_changed = False
+        for _ in range(MAX_ROUND_COUNT):
+            has_changed = False
             for c in self.channels.values():
                 with track(c.name):
                     is_changed = c.update_prior(self.cavity_priors(c))
                 if is_changed:
-                    any_changed = True
+                    has_changed = True
                     yield c.name
-            if not any_changed:
+            if not has_changed:
                 break

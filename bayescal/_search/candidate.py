@@ -101,13 +101,13 @@ def summarise_candidate(
     fields = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
     candidate = Candidate(effect=name, form=form if has_forms else "", **fields)
     if points:
-        best_point, total = points[0], float(np.trace(points[0].gram))
+        best_point, trace = points[0], float(np.trace(points[0].gram))
         candidate = replace(
             candidate,
             log_bayes_factor=log_mean_bayes_factor(points),
             z=_compute_z_score(best_point, library.is_grouped(scored_form)),
             shape={**best_point.point.shapes, **best_point.prior_scale.shapes},
-            visibility=float(np.trace(best_point.information)) / total if total > 0 else 0.0,
+            visibility=float(np.trace(best_point.information)) / trace if trace > 0 else 0.0,
             minimum_detectable=_compute_minimum_detectable(library, best_point),
         )
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
@@ -117,7 +117,7 @@ def summarise_candidate(
         return replace(candidate, log_bayes_factor=factor, source="refit", **fitted_fields)
     if not points:
         return candidate
-    mean, variance = _scored_size(library, points)
+    mean, variance = _average_size(library, points)
     return replace(candidate, size=mean, size_sd=math.sqrt(variance))
 
 
@@ -151,7 +151,7 @@ def _measure_fitted_size(effect: Effect, fit: EvaluatedStructure) -> dict[str, A
     return {"size": float(mode.x[i]), "size_sd": sd, "shape": shapes}
 
 
-def _scored_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
+def _average_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
     """Return posterior mean and variance of the first coefficient, group sd or amplitude, from scores over the grid."""
     log_factors = np.array([p.log_bayes_factor for p in points])
     # Law of total variance over the grid: variance of the points' means plus mean of their variances.
@@ -167,23 +167,23 @@ def _estimate_size_at_point(library: Library, point: ScoredPoint) -> tuple[float
         return point.prior_scale.shapes[effect.measure], 0.0
     sd, (u, information) = point.prior_scale.sd, point.standardised
     if library.is_grouped(point.name):
-        return _group_spread(information, u, float(sd[0]), effect.coefficients[0].size)
+        return _estimate_group_sd(information, u, float(sd[0]), effect.coefficients[0].size)
     # Posterior of standard normal coefficients with information K and score u: mean (I + K)⁻¹u, covariance (I + K)⁻¹.
-    inverse = np.linalg.inv(np.eye(len(sd)) + information)
-    return float((inverse @ u)[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
+    covariance = np.linalg.inv(np.eye(len(sd)) + information)
+    return float((covariance @ u)[0] * sd[0]), float(covariance[0, 0] * sd[0] ** 2)
 
 
-def _group_spread(
-    information: np.ndarray, score: np.ndarray, scale: float, prior: float
+def _estimate_group_sd(
+    information: np.ndarray, score: np.ndarray, scale: float, prior_size: float
 ) -> tuple[float, float]:
     """Return posterior mean and variance of a between-member standard deviation under its half-normal prior."""
-    values, vectors = np.linalg.eigh(information)
-    values, squares = np.maximum(values, 0.0), (vectors.T @ score) ** 2
+    eigenvalues, eigenvectors = np.linalg.eigh(information)
+    eigenvalues, squares = np.maximum(eigenvalues, 0.0), (eigenvectors.T @ score) ** 2
     variance, size = SPREAD_FACTORS[:, None] ** 2, SPREAD_FACTORS * scale
     # Along an eigenvector of the members' information K, eigenvalue λ, the score has variance λ + λ²τ² under spread τ.
-    log_terms = squares * variance / (1 + values * variance) - np.log1p(values * variance)
+    log_terms = squares * variance / (1 + eigenvalues * variance) - np.log1p(eigenvalues * variance)
     log_factors = 0.5 * np.sum(log_terms, axis=1)
-    log_factors += np.log(size) - 0.5 * (size / prior) ** 2  # log prior density of log τ
+    log_factors += np.log(size) - 0.5 * (size / prior_size) ** 2  # log prior density of log τ
     weights = np.exp(log_factors - logsumexp(log_factors))
     mean = float(weights @ size)
     return mean, float(weights @ (size - mean) ** 2)
@@ -195,8 +195,8 @@ def _compute_marginal_score(point: ScoredPoint, is_group: bool) -> tuple[np.ndar
     if is_group or len(score) == 1:
         return score, information
     # Schur complement: the other coefficients, of prior variance one, are integrated out of score and information.
-    inner = information[1:, 1:] + np.eye(len(score) - 1)
-    solution = np.linalg.solve(inner, np.column_stack([information[1:, :1], score[1:]]))
+    inner_matrix = information[1:, 1:] + np.eye(len(score) - 1)
+    solution = np.linalg.solve(inner_matrix, np.column_stack([information[1:, :1], score[1:]]))
     cross = information[:1, 1:]
     return score[:1] - cross @ solution[:, 1], information[:1, :1] - cross @ solution[:, :1]
 
@@ -206,9 +206,9 @@ def _compute_z_score(point: ScoredPoint, is_group: bool) -> float:
     if len(score) == 1:
         return float(score[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
     # Without the effect uᵀK⁺u is χ² with rank(K) degrees of freedom; z has the same one-sided tail probability.
-    values, vectors = np.linalg.eigh(information)
-    is_positive = values > 1e-10 * max(values.max(), 1e-300)
-    chi_square = float(np.sum((vectors.T @ score)[is_positive] ** 2 / values[is_positive]))
+    eigenvalues, vectors = np.linalg.eigh(information)
+    is_positive = eigenvalues > 1e-10 * max(eigenvalues.max(), 1e-300)
+    chi_square = float(np.sum((vectors.T @ score)[is_positive] ** 2 / eigenvalues[is_positive]))
     return float(-ndtri(max(chdtrc(is_positive.sum(), chi_square), 1e-300)))
 
 
@@ -217,8 +217,8 @@ def _compute_minimum_detectable(library: Library, point: ScoredPoint) -> float |
     probability, is_group = settings().found_probability, library.is_grouped(point.name)
     structures = library.structures
     forms = structures.forms[structures.family(point.name)]  # each form would be a finding
-    odds = float(logsumexp([structures.log_odds[n] for n in forms]))
-    nats = math.log(probability / (1 - probability)) - odds
+    log_odds = float(logsumexp([structures.log_odds[n] for n in forms]))
+    nats = math.log(probability / (1 - probability)) - log_odds
     _, information = _compute_marginal_score(point, is_group)
     if is_group:
         measure = library.structures.candidates[point.name].measure
@@ -251,14 +251,14 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float
 def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
     """Return for each candidate the other candidates whose fitted contributions are parallel to its own."""
     columns, projections, top_points = [], [], [scores[0] for scores in points.values()]
-    rows = top_points[0].scorer.linear_for([point.point for point in top_points])
+    rows = top_points[0].scorer.choose_linear_model([point.point for point in top_points])
     for p in top_points:
         sd = p.prior_scale.sd
         score, information = p.standardised
         # Fitted contributions, nuisances projected out: candidates are indistinguishable where these are parallel.
-        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, score)
-        columns.append(rows.whiten(p.scorer.columns(rows, [p.point])) @ fitted)
-        projections.append(p.projection @ fitted)
+        coefficients = sd * np.linalg.solve(np.eye(len(sd)) + information, score)
+        columns.append(rows.whiten(p.scorer.columns(rows, [p.point])) @ coefficients)
+        projections.append(p.projection @ coefficients)
     names, whitened, projected_columns = list(points), np.array(columns), np.array(projections)
     gram = whitened @ whitened.T - projected_columns @ projected_columns.T
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -278,11 +278,11 @@ def classify_candidate(candidate: Candidate, finding: set[str], effect: Effect |
     # A candidate with strong evidence is visible: another effect explains the readings.
     if effect is None or (candidate.log_bayes_factor or 0.0) > settings().strong_evidence:
         return candidate
-    scales = (s.high for s in effect.shapes if s.name == effect.measure)
-    plausible_size = next(scales, effect.coefficients[0].size)
+    size_limits = (s.high for s in effect.shapes if s.name == effect.measure)
+    plausible_size = next(size_limits, effect.coefficients[0].size)
     # Visible: ten plausible sizes would be found; one, where nuisances take all but a hundredth of the information.
     is_hidden = (candidate.visibility or 0.0) < UNDECIDED_RATIO
-    max_size, detectable = MAX_DETECTABLE_SIZES * plausible_size, candidate.minimum_detectable
-    if detectable is None or detectable > (plausible_size if is_hidden else max_size):
+    max_size, detectable_size = MAX_DETECTABLE_SIZES * plausible_size, candidate.minimum_detectable
+    if detectable_size is None or detectable_size > (plausible_size if is_hidden else max_size):
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

@@ -33,7 +33,7 @@ KINDS = ("candidate", "baseline")
 
 
 class Recovery(NamedTuple):
-    """True and estimated value of one unknown, in its unit, and its largest contribution, in the output unit."""
+    """True and estimated value of one unknown, in its unit; `adds`: its largest contribution, output unit."""
 
     name: str
     kind: str  # "baseline", or "candidate": fitted with the baseline
@@ -107,11 +107,11 @@ def check_instrument(
     if readings is not None:
         instrument = instrument.for_readings(readings)
     elif instrument.unit == ANY or instrument.simulator is None:
-        fault = (
+        fault_text = (
             "has no simulator" if instrument.simulator is None else "takes its unit from readings"
         )
         cure = "give readings (--readings FILE, in Python readings=)"
-        raise ModelError(f"instrument {instrument.name!r} {fault}: {cure}")
+        raise ModelError(f"instrument {instrument.name!r} {fault_text}: {cure}")
     check = InstrumentCheck(instrument.name, instrument.unit)
     readings = instrument.simulate({}, seed=seed) if readings is None else readings
     baseline = Model(instrument, instrument.effects, instrument.noise)
@@ -127,8 +127,8 @@ def check_instrument(
             try:
                 _fit_simulated(check, model, effects, readings, seed)
             except Exception as error:  # of an author's function: reported without a traceback
-                is_of_author = not isinstance(error, BayescalError)
-                message = f" fails: {format_error(error)}" if is_of_author else f": {error}"
+                is_author_error = not isinstance(error, BayescalError)
+                message = f" fails: {format_error(error)}" if is_author_error else f": {error}"
                 check.errors.append((names or "the response") + message)
                 if is_baseline:
                     break
@@ -153,11 +153,11 @@ def _fit_simulated(
         is_single = b.coefficient.per is None
         signs[b.x_slice] = 1 - 2 * (n % 2) if is_single else rng.standard_normal(b.size)
     x = layout.mean_of_x + forward.prior_sd(layout, hyper) * signs
-    key = jax.random.fold_in(jax.random.key(seed), len(check.rows))
-    output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
+    random_key = jax.random.fold_in(jax.random.key(seed), len(check.rows))
+    output = np.asarray(forward.draw_readings(layout, frame, x, v, random_key))
     check.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
     if count := int((~np.isfinite(output)).sum()):
-        cause = "is a logarithm, root or quotient outside its domain?"
+        cause = "a logarithm, root or quotient is outside its domain"
         raise ModelError(f"the output is not finite in {count} of {output.size} readings: {cause}")
     options: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **options)
@@ -165,24 +165,24 @@ def _fit_simulated(
     unknowns = Unknowns.of(layout, levels)
     values, names = unknowns.values(np.asarray(x), np.asarray(v)), {e.name for e in effects}
     for name, rows in unknowns.by_key.items():
-        (u, *others), adds, remark = unknowns.rows[rows], None, ""
+        (u, *other_members), contribution, remark = unknowns.rows[rows], None, ""
         if u.effect not in names or u.kind == "group_sd":
             continue
         truth, draws = unknowns.select(values, name), fitted.samples(name)
         if u.group is not None:
             truth, draws = np.std(truth), np.std(draws, axis=1)
-            remark = f"{1 + len(others)} members"
+            remark = f"{1 + len(other_members)} members"
         truth, mean, sd = float(truth), float(draws.mean()), float(draws.std())
         if (b := u.block) is not None:
-            c, adds = b.coefficient, float(slopes[:, b.x_slice].max(initial=0.0))
-            adds *= c.size
-            check.errors += check_scale(b.effect, adds, check.noise, check.unit)
-            if adds == 0.0:
+            c, contribution = b.coefficient, float(slopes[:, b.x_slice].max(initial=0.0))
+            contribution *= c.size
+            check.errors += check_scale(b.effect, contribution, check.noise, check.unit)
+            if contribution == 0.0:
                 remark = "changes no reading"
                 check.errors.append(
-                    f"{name} {remark}: is its basis zero (a label absent from the file, or not declared, "
-                    f"allowed=(…); columns: {', '.join(b.effect.columns) or 'none'}), or is {b.slot!r} not in the "
-                    f"response, as slots[{b.slot!r}]?"
+                    f"{name} {remark}: its basis is zero (a label is absent from the file, or not declared by "
+                    f"allowed=(…); columns: {', '.join(b.effect.columns) or 'none'}), or the response does not use "
+                    f"slots[{b.slot!r}]"
                 )
             elif remark == "" and not c.flat and 1 - (sd / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
                 remark = "not identifiable here"
@@ -191,7 +191,7 @@ def _fit_simulated(
                 values_text = f"{number(truth)} simulated, {format_value(mean, sd)} estimated"
                 check.errors.append(f"{name} {remark}: {values_text}")
         name, kind = name + f", one per {u.group}" * (u.group is not None), KINDS[is_baseline]
-        check.rows.append(Recovery(name, kind, u.unit, adds, truth, mean, sd, remark))
+        check.rows.append(Recovery(name, kind, u.unit, contribution, truth, mean, sd, remark))
     if not fitted.verdict.ok:
         check.notes.append(f"{', '.join(sorted(names))}: {' '.join(fitted.verdict.reasons)}")
     if is_baseline:

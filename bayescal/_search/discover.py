@@ -40,9 +40,9 @@ from bayescal._search.candidate import (
     select_forms,
     summarise_candidate,
 )
-from bayescal._search.equivalence import list_equivalence_claims, with_spans
+from bayescal._search.equivalence import add_spans, list_equivalence_claims
 from bayescal._search.library import Library
-from bayescal._search.noise_laws import laws_over
+from bayescal._search.noise_laws import list_laws
 from bayescal._search.posterior import Finding, Posterior
 from bayescal._search.scores import Scorer
 from bayescal._search.structure_average import add_inadequacy, add_latent_effects, average_models
@@ -52,7 +52,7 @@ from bayescal._search.walk import explore
 # Share of the time after the first fit for the search; the rest is for scores, the last fit, sampling and checks.
 SEARCH_TIME_SHARE = 2 / 3
 P_COMPLETE = "probability that no testable candidate is missing"
-UNSTATED = "not stated, as the search was ended early"
+UNSTATED_TEXT = "not stated, as the search was ended early"
 LOG_BF = "log BF: log Bayes factor of this effect alone, added to the fitted model; probability: over all structures"
 MAX_RIVALS = 4  # effects to be distinguished by an experiment
 REMARKS = {"not visible": "not detectable in this experiment"}
@@ -131,7 +131,7 @@ class Discovery(Printed):
         return self._average(method, seed)
 
     def without_completeness(self, why: str) -> Discovery:
-        """Return the discovery without a probability that the model is complete."""
+        """Return the discovery without a probability that the model is complete; `why`: the reason."""
         return replace(self, nothing_missing=None, unstated=why)
 
     @property
@@ -164,19 +164,19 @@ class Discovery(Printed):
         rows = [vars(c) for c in self.candidates]
         table, power = candidates_table(rows), f"{100 * settings().power:g} %, residuals as noise"
         note = f"± standard uncertainty (k = 1); detectable: size found with probability {power}"
-        refits = any(c["source"] == "refit" for c in table.rows)
+        has_refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
-            lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
+            lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * has_refits]
         lines += [wrap(f"partly collinear: {', '.join(g)}") for g in group_confounded(rows)]
-        by_reason = group_untested(rows).items()
-        lines += [wrap(f"not testable, {r}: {', '.join(names)}") for r, names in by_reason]
+        reasons = group_untested(rows).items()
+        lines += [wrap(f"not testable, {r}: {', '.join(names)}") for r, names in reasons]
         return [line for line in lines if line]
 
     def _format_summary(self) -> str:
         return "; ".join(_describe_findings(self))
 
     def _list_columns(self) -> dict[str, list[Any]]:
-        """Return columns with a row for each candidate, including those not printed; sizes in `unit`."""
+        """Return columns by name, an entry per candidate, including those not printed; sizes in `unit`."""
         names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
         names = (*names, "minimum_detectable", "kind", "reason")
         return {name: [getattr(c, name) for c in self.candidates] for name in names}
@@ -218,16 +218,16 @@ def discover(
             stopped = explore(library, max_effects)
         discovery = find_missing(library, Structure(), untestable, stopped)
         latent_model = structures.with_wide_priors(model, discovery.latent)
-        selected = Posterior.from_structures(structures).median_structure
+        median = Posterior.from_structures(structures).median_structure
 
         def average(method: Method | None, seed: Any) -> Calibration:
-            evaluated, reference = structures.evaluate(selected), calibration.reference
-            options = {"seed": seed, "reference": reference, "start": evaluated.phi}
-            fitted = fit(evaluated.sized_model, readings, method, **options)
-            averaged, _ = average_models(fitted, structures, selected.noise, fitted.seed)
-            _, with_latent = add_latent_effects(fitted, averaged, structures, selected)
-            complete = find_missing(library, selected, untestable, stopped).nothing_missing
-            return add_inadequacy(with_latent, complete, structures, selected)
+            evaluation, reference = structures.evaluate(median), calibration.reference
+            options = {"seed": seed, "reference": reference, "start": evaluation.phi}
+            fitted = fit(evaluation.sized_model, readings, method, **options)
+            average_fit, _ = average_models(fitted, structures, median.noise, fitted.seed)
+            _, latent_fit = add_latent_effects(fitted, average_fit, structures, median)
+            completeness = find_missing(library, median, untestable, stopped).nothing_missing
+            return add_inadequacy(latent_fit, completeness, structures, median)
 
         best = (*(latent_model.effect(n) for n in discovery.latent), *discovery.best)
         return replace(discovery, best=best, _average=average)
@@ -241,7 +241,7 @@ def find_missing(
         limit.raise_if_over()
         return summarise_discovery(library, structure, untestable, stopped)
     with deadline.suspend():
-        return summarise_discovery(library, structure, untestable, stopped, with_scores=False)
+        return summarise_discovery(library, structure, untestable, stopped, include_scores=False)
 
 
 def enumerate_structures(
@@ -287,12 +287,12 @@ def enumerate_structures(
     amplitudes = guess_amplitudes(model, readings, record)
     testable_effects = {n: e.with_open_ranges(*amplitudes) for n, e in testable_effects.items()}
     record.require_finite((*testable_effects.values(), *model.effects))
-    laws = laws_over(model, frame) if widen_noise else {}
+    laws = list_laws(model, frame) if widen_noise else {}
     layout = bind(model, readings, testable_effects.values(), reference)[0]
     structures = Structures(model, layout, record, testable_effects, laws)
     if include_latent:
         with deadline.suspend():  # the first model needs them, whatever the time limit
-            structures = with_spans(structures, amplitudes[0] * math.sqrt(record.size))
+            structures = add_spans(structures, amplitudes[0] * math.sqrt(record.size))
     return structures, list(untested.values())
 
 
@@ -302,10 +302,10 @@ def restrict_causes(
     ignore: Collection[str],
     covariates: Collection[str] | None,
 ) -> Measurements:
-    """Return readings without the columns to ignore and, if `covariates` is given, other undeclared columns."""
+    """Return readings with columns marked as no causes: `ignore`, and undeclared ones that given `covariates` omit."""
     if names := sorted({*ignore}.intersection(covariates or ())):
         raise InputError(
-            f"{', '.join(names)} in both ignore and covariates: remove from one of them"
+            f"{', '.join(names)}: given in both ignore and covariates; remove it from one of them"
         )
     if covariates is not None:
         for name in covariates:
@@ -334,33 +334,33 @@ def summarise_discovery(
     structure: Structure,
     untestable: Sequence[Candidate],
     stopped: str = "",
-    with_scores: bool = True,
+    include_scores: bool = True,
 ) -> Discovery:
     """Summarise the effects missing from a structure, by the posterior and by the candidates' scores.
 
-    Scores take time; without them (`with_scores` False) only evaluated structures count. After a search that `stopped`
+    Scores take time; without them (not `include_scores`) only evaluated structures count. After a search that `stopped`
     early, no further structure is evaluated, and the probability that the model is complete is not stated.
     """
     structures = library.structures
     posterior = Posterior.from_structures(structures, structure.effects)
-    evaluated = structures.evaluate(structure)
+    evaluation = structures.evaluate(structure)
     families = posterior.space.families(structure.effects | structures.latent_effects(structure))
-    names = [n for n in library.points if with_scores and structures.family(n) not in families]
-    points = Scorer(library, evaluated).reduced_model().score_candidates(names) if names else {}
+    names = [n for n in library.points if include_scores and structures.family(n) not in families]
+    points = Scorer(library, evaluation).reduced_model().score_candidates(names) if names else {}
     points = select_forms(structures, points)
     parallel = find_indistinguishable(points) if points else {}
     findings = posterior.findings
     findings_by_name = {name: set(f.effects) for f in findings for name in f.effects}
-    unscored = structures.unscored_candidates if with_scores else structures.candidates
+    unscored_names = structures.unscored_candidates if include_scores else structures.candidates
     tested = []
-    for name in (*points, *sorted(posterior.space.families(unscored) - families)):
+    for name in (*points, *sorted(posterior.space.families(unscored_names) - families)):
         scores, form = points.get(name, ()), posterior.most_probable_form(name)
         if not scores:
             form = form if form in structures.candidates else structures.forms[name][0]
-            if with_scores and not stopped:
-                structures.evaluate(structure.with_effects(form), evaluated)
+            if include_scores and not stopped:
+                structures.evaluate(structure.with_effects(form), evaluation)
         refit = structures.visited.get(structure.with_effects(form))
-        candidate = summarise_candidate(library, name, form, scores, evaluated, refit)
+        candidate = summarise_candidate(library, name, form, scores, evaluation, refit)
         # Confounded candidates have parallel fitted contributions, or share a finding.
         confounded_names = parallel.get(name, set()).union(findings_by_name.get(name, ())) - {name}
         candidate = replace(
@@ -375,7 +375,7 @@ def summarise_discovery(
     final = posterior.best if stopped else posterior.median_structure
     added_names, model = final.effects - structure.effects, structures.evaluate(final).sized_model
     best_effects = [model.effect(name) for name in structures.candidates if name in added_names]
-    is_stated = with_scores and not stopped
+    is_stated = include_scores and not stopped
     # Effects that another experiment should tell apart, the most probable first.
     first_finding = list(findings[0].effects) if findings else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first_finding) < 2 else []
@@ -384,20 +384,20 @@ def summarise_discovery(
     pairs = ((law, posterior.law_probability(name)) for name, law in laws.items())
     law_rows = [LawProbability(law.name, law.in_words, p) for law, p in pairs]
     unseen_names, unnamed = [c.effect for c in tested if c.unseen], structures.substantial_unnamed
-    noise = [f"{evaluated.problem.noise.name} noise"] * evaluated.has_unnamed_noise
+    noise_names = [f"{evaluation.problem.noise.name} noise"] * evaluation.has_unnamed_noise
     return Discovery(
         nothing_missing=posterior.completeness(unseen_names) if is_stated else None,
-        unnamed=(*sorted(unnamed(evaluated)), *noise),
-        latent=tuple(sorted(structures.latent_effects(evaluated.structure))),
-        equivalent=list_equivalence_claims(structures, evaluated.structure),
+        unnamed=(*sorted(unnamed(evaluation)), *noise_names),
+        latent=tuple(sorted(structures.latent_effects(evaluation.structure))),
+        equivalent=list_equivalence_claims(structures, evaluation.structure),
         findings=findings,
         candidates=(*ranked, *untestable),
         best=tuple(best_effects),
         rivals=tuple(structures.candidates[posterior.most_probable_form(n)] for n in rivals),
         noise=tuple(sorted(law_rows, key=lambda law: -law.probability)),
         stopped=stopped,
-        unstated="" if is_stated else UNSTATED,
-        off_scale=flag_off_scale(library, points, evaluated),
+        unstated="" if is_stated else UNSTATED_TEXT,
+        off_scale=flag_off_scale(library, points, evaluation),
     )
 
 
@@ -417,8 +417,8 @@ def _describe_findings(discovery: Discovery) -> list[str]:
         lines.append(f"missing: {names}, probability {probability(s.probability)}{suffix}")
     for c in discovery.candidates:
         if c.role == "freed" and c.probability is not None:
-            others = (r for r in discovery.candidates if r.role != "freed")
-            rivals = [r for r in others if (r.probability or 0.0) >= MIN_PROBABILITY][:1]
+            named = (r for r in discovery.candidates if r.role != "freed")
+            rivals = [r for r in named if (r.probability or 0.0) >= MIN_PROBABILITY][:1]
             text = f"{c.frees} contradicts its prior: its stated value is wrong ({probability(c.probability)})"
             for r in rivals:
                 text += f", or {r.effect} is missing ({probability(r.probability)})"
@@ -427,7 +427,7 @@ def _describe_findings(discovery: Discovery) -> list[str]:
 
 
 def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """Return the table of testable candidates of a result.json, without curves that lack evidence."""
+    """Tabulate the testable candidates (`Candidate` as mappings) without curves that lack evidence."""
 
     def format_factor(c: Mapping[str, Any]) -> str:
         value = c["log_bayes_factor"]
@@ -459,7 +459,7 @@ def is_quiet(c: Mapping[str, Any]) -> bool:
 
 
 def group_confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return the maximal groups of confounded candidates of a result.json."""
+    """Return the maximal groups of confounded candidates (`Candidate` as mappings)."""
     groups: list[tuple[str, ...]] = []
     for c in candidates:
         members = (c["effect"], *c["indistinguishable_from"])
@@ -469,7 +469,7 @@ def group_confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str,
 
 
 def group_untested(candidates: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
-    """Return, by reason, the candidates of a result.json that could not be tested."""
+    """Return, by reason, the names of candidates (`Candidate` as mappings) that could not be tested."""
     by_reason: dict[str, list[str]] = {}
     for c in candidates:
         if c["kind"] == "not testable":

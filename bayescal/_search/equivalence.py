@@ -47,15 +47,15 @@ class Equivalent(NamedTuple):
     coefficients: tuple[str, ...] = ()
 
 
-def with_spans(structures: Structures, floor: float) -> Structures:
-    """Return structures with the spans of candidates that are not separable from the base model or from each other.
+def add_spans(structures: Structures, floor: float) -> Structures:
+    """Return structures with the spans (`spans`) by which inseparable candidates are found.
 
     Candidates with shape parameters or group members are compared by evidence instead, which integrates over these.
     """
     structures = replace(structures, noise_floor=min(floor, _estimate_residual_sd(structures)))
-    linear, columns = _whiten_candidates(structures)
+    linear, candidates = _whiten_candidates(structures)
     latent_names, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
-    for name, candidate in columns.items():
+    for name, candidate in candidates.items():
         if not is_undecided(candidate.without_groups, candidate.without_model):
             separable[name] = candidate.without_model
         elif widened_names := _list_widened(linear, RMS_SCALE_FACTOR * candidate.columns):
@@ -100,27 +100,27 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
     white_nuisances = math.sqrt(stride) * linear.white_nuisance[::stride]
     flat_scale = FLAT_NORM / np.maximum(np.linalg.norm(white_nuisances, axis=0), 1 / FLAT_NORM)
     white_nuisances = white_nuisances * np.where(linear.weight == 0, flat_scale, 1.0)
-    whiten_groups = _group_whitener(white_nuisances[:, is_random])
-    whiten_model = _group_whitener(whiten_groups(white_nuisances[:, ~is_random]))
-    library, by_name = Library(structures), dict[str, _CandidateColumns]()
+    whiten_groups = _make_whitener(white_nuisances[:, is_random])
+    whiten_model = _make_whitener(whiten_groups(white_nuisances[:, ~is_random]))
+    library, candidates = Library(structures), dict[str, _CandidateColumns]()
     for name, (point, *others) in library.points.items():
         effect = structures.candidates[name]
-        per_member = any(c.group_sd for c in effect.coefficients)
-        if not (others or per_member or effect.frees) and has_prior_scale(effect):
+        is_per_member = any(c.group_sd for c in effect.coefficients)
+        if not (others or is_per_member or effect.frees) and has_prior_scale(effect):
             columns = library.columns(linear, [point], {}) * library.prior_scales[name][0].sd
             whitened_columns = linear.whiten(columns)
             without_groups = whiten_groups(math.sqrt(stride) * whitened_columns[::stride])
             whitened_parts = whitened_columns, without_groups, whiten_model(without_groups)
-            by_name[name] = _CandidateColumns(*whitened_parts)
-    return linear, by_name
+            candidates[name] = _CandidateColumns(*whitened_parts)
+    return linear, candidates
 
 
-def _group_whitener(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
+def _make_whitener(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
     """Return the whitening function for noise of covariance I + C·Cᵀ, with C the columns of group deviations."""
     # Along the left singular vectors of C, singular values s, whitened columns are multiplied by 1/√(1 + s²).
     axes, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
-    removed = axes * (1 - 1 / np.sqrt(1 + singular_values**2))
-    return lambda white: white - removed @ (axes.T @ white)
+    removed_axes = axes * (1 - 1 / np.sqrt(1 + singular_values**2))
+    return lambda white: white - removed_axes @ (axes.T @ white)
 
 
 def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
@@ -150,22 +150,22 @@ def list_equivalence_claims(structures: Structures, structure: Structure) -> tup
 
     A claim is against the model if the readings cannot determine which of its terms act in use.
     """
-    latent = structures.latent_effects(structure)
+    latent_names = structures.latent_effects(structure)
     claims = dict[str, list[Claim]](undecided=[], latent=[], candidates=[])
     for equivalent in find_equivalents(structures.spans):
         first, *others = equivalent.effects
         details, state = {"beside": equivalent.coefficients or (*others,)}, "candidates"
         members = {*equivalent.effects}
-        if members & latent and members <= structure.effects | latent:
-            used = {_acts_in_use(structures, name) for name in equivalent.effects}
-            is_undecided = used == {True, False} or (used == {True} and not others)
+        if members & latent_names and members <= structure.effects | latent_names:
+            uses = {_is_in_use(structures, name) for name in equivalent.effects}
+            is_undecided = uses == {True, False} or (uses == {True} and not others)
             state = "undecided" if is_undecided else "latent"
-            details |= separating_experiments(structures)[equivalent]
+            details |= find_experiments(structures)[equivalent]
         claims[state].append(Claim(f"equivalent.{state}", first, *others, **details))
     return (*claims["undecided"], *claims["latent"], *claims["candidates"])
 
 
-def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
+def find_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
     """Return for each set of equivalent effects the experiment with most information on it, if any; cached."""
     if structures.experiments:
         return structures.experiments
@@ -180,8 +180,8 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
         reference = reference_of(readings)
         layout = bind(structures.base, readings, candidates.values(), reference)[0]
         record = record_of(instrument, readings, reference)
-        restricted = replace(structures, layout=layout, record=record, candidates=candidates)
-        columns = _whiten_candidates(restricted)[1]
+        design = replace(structures, layout=layout, record=record, candidates=candidates)
+        columns = _whiten_candidates(design)[1]
         for equivalent in sets:
             if {*equivalent.effects} <= {*candidates}:
                 first, *others = (columns[n].without_model for n in equivalent.effects)
@@ -194,7 +194,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     return result
 
 
-def _acts_in_use(structures: Structures, name: str) -> bool:
+def _is_in_use(structures: Structures, name: str) -> bool:
     use, effect = structures.base.instrument.use, structures.candidates[name]
     slots = {c.slot or effect.slot for c in effect.coefficients}
     return use is None or not use.slots or not slots.isdisjoint(use.slots)

@@ -14,16 +14,16 @@ from bayescal._core.settings import settings
 from bayescal._search.replaced_terms import TermComparison, find_replaced_terms, list_profile_claims
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 
-WORSE = "step.predicts_worse"
+WORSE_CODE = "step.predicts_worse"
 
 
 def assess_last(steps: Sequence[Step]) -> Gate:
     """Return the outcome of the last model's acceptance checks, with all reasons if it fails, earlier ones first."""
     last = steps[-1]
-    claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
+    claims = dict.fromkeys([*find_freed_values(steps), *(last.failures or _claims_of_last(steps))])
     earlier_claims = (as_claim(w) for w in last.calibration.verdict.against if w not in claims)
-    if reasons := (*dict.fromkeys(earlier_claims), *claims):
-        return Gate(False, " ".join(reasons), reasons)
+    if all_claims := (*dict.fromkeys(earlier_claims), *claims):
+        return Gate(False, " ".join(all_claims), all_claims)
     # With fewer readings no correlation reaches the limit, in standard deviations.
     if len(last.calibration.readings) < int(limit("noise.correlated", "z") ** 2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
@@ -40,11 +40,11 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
         first_model=steps[0].calibration.model,
         remedy=_choose_remedy(last),
     )
-    claims = [*last.outlying_groups, *judgement.residual_claims(subject), *undecided_claims(steps)]
+    claims = [*last.outlying_groups, *judgement.residual_claims(subject), *find_undecided(steps)]
     claims += [*equivalent_claims(steps, "doubt"), *judgement.find_thermometer_anomalies(subject)]
     claims += [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
-    claims += [*worsened_claims(steps), *judgement.find_outlying_group(subject)]
-    return [*claims, *unlike_run_claims(steps), *contradicted_claims(steps)]
+    claims += [*find_worsened(steps), *judgement.find_outlying_group(subject)]
+    return [*claims, *find_unlike_runs(steps), *find_contradictions(steps)]
 
 
 def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
@@ -54,7 +54,7 @@ def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     if last_step.calibration.verdict.ok:
         measured_terms = (term for term in _compare_terms(steps) if term.is_measured)
         notes += [term.claim for term in measured_terms if term.is_confounded]
-    notes += [*thermometer_claims(steps), *equivalent_claims(steps, "note")]
+    notes += [*find_thermometer_doubts(steps), *equivalent_claims(steps, "note")]
     notes += find_two_levels(steps)
     if notes:
         last_step = last_step.with_notes(notes)
@@ -63,8 +63,8 @@ def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     return (*steps[:-1], last_step), outcome
 
 
-def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield claims against a model that estimates a coefficient although its value was stated."""
+def find_freed_values(steps: Sequence[Step]) -> Iterator[Claim]:
+    """Yield claims on coefficients that the last model estimates although their values were stated."""
     if freed_names := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
         yield Claim("value.freed", *freed_names)
         yield from (c for c in steps[0].failures if not set(c.subjects).isdisjoint(freed_names))
@@ -75,14 +75,14 @@ def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
     last, terms = steps[-1].calibration, list[TermComparison]()
     names = {e.name for e in last.model.effects if e.unnamed}
     fits = [s.calibration for s in steps[:-1] if names.isdisjoint(s.calibration.model.names)]
-    latent = steps[-1].discovery.latent if steps[-1].discovery else ()
+    latent_names = steps[-1].discovery.latent if steps[-1].discovery else ()
     if fits:
-        terms = [t for t in find_replaced_terms(fits[0], last, latent) if not t.is_unnamed]
-        terms += [t for t in find_replaced_terms(fits[-1], last, latent) if t.is_unnamed]
+        terms = [t for t in find_replaced_terms(fits[0], last, latent_names) if not t.is_unnamed]
+        terms += [t for t in find_replaced_terms(fits[-1], last, latent_names) if t.is_unnamed]
     return sorted(terms, key=lambda term: -term.shift)
 
 
-def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+def find_thermometer_doubts(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim if the last model's thermal terms may be errors of the thermometer or the data logger.
 
     A thermometer delay τ makes c·T appear as c·T + c·τ·dT/dt of the recorded T, as does an output time-stamped too
@@ -117,7 +117,7 @@ def find_two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
 
 
 def _choose_remedy(step: Step) -> dict[str, str]:
-    """Return the remedy for structured residuals: test the leads, or none if there are no leads."""
+    """Return the claim fields of the remedy for structured residuals: test the leads; none without leads."""
     candidates = step.discovery.candidates if step.discovery else ()
     if leads := [c for c in candidates if c.kind == "lead"]:
         lead_names = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
@@ -125,7 +125,7 @@ def _choose_remedy(step: Step) -> dict[str, str]:
     return {"cure": "nothing"}
 
 
-def undecided_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+def find_undecided(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim if the model is probably incomplete, but no finding states which effect is missing."""
     discovery = steps[-1].discovery
     if discovery is None or discovery.nothing_missing is None:
@@ -139,27 +139,27 @@ def undecided_claims(steps: Sequence[Step]) -> Iterator[Claim]:
         yield Claim("complete.undecided", *names, complete=discovery.nothing_missing, **details)
 
 
-def worsened_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+def find_worsened(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield claims on rms errors that the last effect increased: as fitted, leave-one-group-out, hold-out."""
-    *earlier, last = steps
+    *previous, last = steps
     unit, left_out = last.calibration.unit, last.leave_one_group_out
     # Under another noise law readings have other weights, and an effect's part may be noise: the error may be larger.
     noise = last.calibration.model.noise
-    rivals = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
-    lowest_rms = min((s.rmse_fitted for s in rivals), default=math.inf)
+    comparable = [s for s in previous if s.calibration.model.noise == noise and noise.independent]
+    lowest_rms = min((s.rmse_fitted for s in comparable), default=math.inf)
     if last.added is not None and last.rmse_fitted > WORSE_RATIO * lowest_rms:
         errors = {"then": lowest_rms, "now": last.rmse_fitted, "unit": unit}
         yield Claim("step.raises_error", last.added, step=last.title, **errors)
-    if left_out and (best := find_better_left_out(last, earlier)) and best.leave_one_group_out:
+    if left_out and (best := find_better_left_out(last, previous)) and best.leave_one_group_out:
         prediction = f"each {left_out.group} from the others ({scheme(left_out.group)})"
         errors = {"then": best.leave_one_group_out.rmse, "now": left_out.rmse, "unit": unit}
-        yield Claim(WORSE, left_out.group, what=prediction, step=best.title, **errors)
-    if (best := find_better_holdout(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
+        yield Claim(WORSE_CODE, left_out.group, what=prediction, step=best.title, **errors)
+    if (best := find_better_holdout(last, previous)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
-        yield Claim(WORSE, what="the hold-out data", step=best.title, **errors)
+        yield Claim(WORSE_CODE, what="the hold-out data", step=best.title, **errors)
 
 
-def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+def find_unlike_runs(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim if left-out runs differ by offsets that no term of the model describes.
 
     Initial states, random-walk noise and steps between runs absorb such offsets in the fit but do not predict them; a
@@ -173,8 +173,8 @@ def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     has_run_effect = any(c.group_sd and not c.initial for c in coefficients)
     if not has_run_effect and judgement.is_between_runs_only(left_out.residual, deviations):
         # Prediction from the mean of the n − 1 other runs has n/(n − 1) times the distance from the mean of all.
-        range_of_means = float(np.ptp(means)) * (1 - 1 / left_out.count)
-        sizes = {"apart": range_of_means, "within": float(np.sqrt(np.mean(deviations**2)))}
+        mean_range = float(np.ptp(means)) * (1 - 1 / left_out.count)
+        sizes = {"apart": mean_range, "within": float(np.sqrt(np.mean(deviations**2)))}
         yield Claim("runs.unlike", **sizes, unit=calibration.unit)
 
 
@@ -211,7 +211,7 @@ def find_better_holdout(last: Step, previous: Sequence[Step]) -> Step | None:
     return best if last.holdout_test.paired_test(best.holdout_test) < settings().holdout_p else None
 
 
-def contradicted_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+def find_contradictions(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim if hold-out data contradict the last model."""
     test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
     if test is None or error is None:

@@ -23,10 +23,10 @@ from bayescal._model.instrument import compute_factor
 from bayescal._model.terms import ColumnSpec, Correction
 from bayescal._search.structures import SIZE_FACTORS, Structures
 
-SHAPE_POINTS = 7  # grid points of one shape, at the middles of equal parts of its prior
-SOBOL_POINTS = 32  # grid points of several shapes, a Sobol sequence
+SHAPE_POINT_COUNT = 7  # grid points of one shape, at the middles of equal parts of its prior
+SOBOL_POINT_COUNT = 32  # grid points of several shapes, a Sobol sequence
 SOBOL = Path(__file__).with_name("sobol.npz")
-RAGGED_POINTS = 128  # grid points where the evidence has many maxima over a shape
+RAGGED_POINT_COUNT = 128  # grid points where the evidence has many maxima over a shape
 # Numbers in all candidates' columns up to which they are cached; larger columns are computed each time.
 MAX_CACHED_NUMBERS = 2**23
 MAX_BLOCK_NUMBERS = 2**20  # numbers in the columns whitened at a time
@@ -42,7 +42,7 @@ ShapeValues = tuple[dict[str, float], dict[str, float]]
 
 
 class PriorScale(NamedTuple):
-    """A scale of an effect's prior, with the log prior probability of this scale."""
+    """A scale of an effect's prior, with the log of its prior probability (`log_weight`)."""
 
     sd: Float[np.ndarray, "k"]  # prior standard deviations of the coefficients
     start: dict[str, float]  # coordinates of φ at this scale, by name
@@ -72,7 +72,7 @@ class Library:
     grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
     points: dict[str, list[GridPoint]] = field(default_factory=dict)  # grid of each candidate
     prior_scales: dict[str, list[PriorScale]] = field(default_factory=dict)  # of each candidate
-    n_columns: int = 0  # of all candidates at all points
+    column_count: int = 0  # of all candidates at all points
     # candidates that vary within means, scored by all readings
     unaveraged: frozenset[str] = frozenset()
     _means: Means | None = None
@@ -89,9 +89,9 @@ class Library:
             grid = _map_shapes(effect, self.grids[name]) if self.grids else _make_grid(effect)
             self.points[name] = []
             for i, (shapes, start) in enumerate(grid):
-                block = slice(self.n_columns, self.n_columns + sum(widths))
+                block = slice(self.column_count, self.column_count + sum(widths))
                 self.points[name].append(GridPoint(name, shapes, start, block, i))
-                self.n_columns += sum(widths)
+                self.column_count += sum(widths)
 
     def is_grouped(self, name: str) -> bool:
         """Return whether a candidate has many coefficients with a common scale: standard deviation or amplitude."""
@@ -111,10 +111,10 @@ class Library:
                     self.unaveraged |= {name}
         return self._means.linear_model(linear)
 
-    def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all grid points in blocks whose columns fit in memory; those that need all readings separately."""
+    def iterate_blocks(self, row_count: int) -> Iterator[list[GridPoint]]:
+        """Yield all grid points in blocks whose columns, of `row_count` rows, fit in memory; unaveraged ones apart."""
         for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
-            block, rows = list[GridPoint](), self.structures.record.size if needed else size
+            block, rows = list[GridPoint](), self.structures.record.size if needed else row_count
             for point in itertools.chain.from_iterable(self.points[name] for name in names):
                 if block and (point.block.stop - block[0].block.start) * rows > MAX_BLOCK_NUMBERS:
                     yield block
@@ -146,13 +146,13 @@ class Library:
         record, instrument = linear.problem.record, self.structures.base.instrument
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
         # Chain rule: derivative of the output with respect to the slot, times ∂slot/∂coefficient.
-        by_slot = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
+        slopes = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
         needed = self._list_relevant_corrections(name, corrections)
         if entry := self.cached_columns.get(name, {}).get(bool(needed)):
             is_same = entry[0] is record and entry[1] == needed
-            if is_same and np.array_equal(entry[2], by_slot):
+            if is_same and np.array_equal(entry[2], slopes):
                 return entry[3][[p.index for p in points]]
-        is_small = self.n_columns * record.size <= MAX_CACHED_NUMBERS
+        is_small = self.column_count * record.size <= MAX_CACHED_NUMBERS
         needed_points = self.points[name] if is_small else points
         shape_values = np.transpose([[*p.shapes.values()] for p in needed_points])
         spec = ColumnSpec.from_effect(effect).with_corrections([*needed])
@@ -162,13 +162,13 @@ class Library:
         ends = np.cumsum([0, *(_count_members(c, counts) for c in effect.coefficients)])
         columns = np.empty((len(bases), ends[-1], record.size))
         for i, c in enumerate(effect.coefficients):
-            slope = by_slot[i] * compute_factor(instrument, effect, c)
+            slope = slopes[i] * compute_factor(instrument, effect, c)
             codes, members = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
             per_member = expand_members(slope * bases[..., i], codes, members.stop - members.start)
             columns[:, members] = np.moveaxis(per_member, -1, 1)
         if not is_small:
             return columns
-        self.cached_columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
+        self.cached_columns.setdefault(name, {})[bool(needed)] = record, needed, slopes, columns
         return columns[[p.index for p in points]]
 
     def _list_relevant_corrections(self, name: str, corrections: Corrections) -> Corrections:
@@ -183,8 +183,8 @@ class Library:
 def _find_extreme_points(points: Sequence[GridPoint]) -> list[GridPoint]:
     """Return the grid points of a candidate at which one of its shapes has its minimum or maximum."""
     shapes = np.array([[*p.shapes.values()] for p in points])
-    extremes = {*shapes.argmin(axis=0), *shapes.argmax(axis=0)} if shapes.size else {0}
-    return [points[i] for i in sorted(extremes)]
+    extreme_indices = {*shapes.argmin(axis=0), *shapes.argmax(axis=0)} if shapes.size else {0}
+    return [points[i] for i in sorted(extreme_indices)]
 
 
 def _round_shapes(correction: Correction, shapes: tuple[float, ...]) -> tuple[float, ...]:
@@ -222,8 +222,8 @@ def _list_prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorSca
     factors = {1.0: 1.0} if is_spread.all() else SIZE_FACTORS
     for z, (factor, p) in itertools.product(spreads, factors.items()):
         start = {effect.group_sd_name(i): math.log(z) for i in estimated}
-        scaled_sd, log_weight = sd * np.where(is_spread, z, factor), math.log(p / len(spreads))
-        prior_scales.append(PriorScale(scaled_sd, start, {}, log_weight))
+        scale_sd, log_weight = sd * np.where(is_spread, z, factor), math.log(p / len(spreads))
+        prior_scales.append(PriorScale(scale_sd, start, {}, log_weight))
     return prior_scales
 
 
@@ -246,19 +246,19 @@ def _build_shape_grid(shapes: Sequence[Shape]) -> np.ndarray:
     """Return a grid of shape coordinates (points, shapes), all points equally probable under the priors."""
     if not shapes:
         return np.zeros((1, 0))
-    count = SHAPE_POINTS if len(shapes) == 1 else SOBOL_POINTS
-    count = RAGGED_POINTS if any(s.ragged for s in shapes) else count
+    count = SHAPE_POINT_COUNT if len(shapes) == 1 else SOBOL_POINT_COUNT
+    count = RAGGED_POINT_COUNT if any(s.ragged for s in shapes) else count
     if len(shapes) == 1:
         # Φ⁻¹ of the middles of equal parts: each point has the same prior mass, so that means are prior integrals.
         return ndtri((np.arange(count) + 0.5) / count)[:, None]
-    return ndtri(sobol_points(len(shapes))[:count])
+    return ndtri(load_sobol_points(len(shapes))[:count])
 
 
-def sobol_points(count: int) -> Float[np.ndarray, "k count"]:
-    """Return scrambled Sobol points in `count` dimensions, with a fixed seed; those of two and three from a file."""
+def load_sobol_points(dimension: int) -> Float[np.ndarray, "k d"]:
+    """Return scrambled Sobol points (k, dimension), with a fixed seed; of two and three dimensions from a file."""
     with np.load(SOBOL) as tables:  # SciPy's take half a second to load
-        if str(count) in tables:
-            return tables[str(count)]
+        if str(dimension) in tables:
+            return tables[str(dimension)]
     from scipy.stats import qmc
 
-    return qmc.Sobol(count, scramble=True, rng=0).random(RAGGED_POINTS)
+    return qmc.Sobol(dimension, scramble=True, rng=0).random(RAGGED_POINT_COUNT)

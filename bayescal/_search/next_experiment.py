@@ -56,7 +56,7 @@ class Experiment:
 
 @dataclass(frozen=True, repr=False)
 class NextExperiment(Printed):
-    """Feasible campaigns to distinguish effects, ranked by the smallest expected log Bayes factor."""
+    """Feasible campaigns to distinguish `members`, effects; ranked by the smallest expected log Bayes factor."""
 
     members: tuple[str, ...]
     experiments: tuple[Experiment, ...]
@@ -77,8 +77,8 @@ class NextExperiment(Printed):
         ]
         if self.experiments[0].minimum < VERY_STRONG_NATS:
             lines.append(
-                "No experiment is expected to distinguish them (by a log Bayes factor of "
-                f"{VERY_STRONG_NATS:g})."
+                "No experiment is expected to distinguish them by a log Bayes factor of "
+                f"{VERY_STRONG_NATS:g}."
             )
         return lines
 
@@ -102,11 +102,11 @@ def next_experiment(
     candidates = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
     if len(candidates) < 2:
         raise ModelError(f"next_experiment needs at least two effects, not {len(candidates)}")
-    records = experiments
-    if records is None:
+    plans = experiments
+    if plans is None:
         listed = instrument.experiments
-        records = {n: Measurements.from_arrays(instrument, **record()) for n, record in listed}
-    if not records:
+        plans = {n: Measurements.from_arrays(instrument, **record()) for n, record in listed}
+    if not plans:
         raise ModelError(
             f"Instrument {instrument.name!r} lists no experiment: give readings of feasible campaigns, "
             "next_experiment(calibration, effects, {'slower': readings, …})"
@@ -118,10 +118,10 @@ def next_experiment(
         fits = {e.name: fit(model + e, fitted_readings, method, **options) for e in candidates}
     with track("predicting each experiment"):
         campaigns = list[Experiment]()
-        for name, readings in records.items():
+        for name, readings in plans.items():
             predictions = {n: predict_campaign(c, readings) for n, c in fits.items()}
             pairs = permutations(fits, 2)
-            factors = {pair: divergence(*(predictions[n] for n in pair)) for pair in pairs}
+            factors = {pair: compute_divergence(*(predictions[n] for n in pair)) for pair in pairs}
             campaigns.append(Experiment(name, factors, readings))
     return NextExperiment(tuple(fits), tuple(sorted(campaigns, key=lambda e: -e.minimum)))
 
@@ -134,15 +134,15 @@ class CampaignPrediction:
     covariance: np.ndarray
 
 
-def divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
+def compute_divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
     """Return the Kullback–Leibler divergence of two normals, nats: the expected log density ratio."""
     # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: W = L₂⁻¹L₁ has the trace as its sum of squares
     # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
     cholesky = np.linalg.cholesky(rival.covariance)
-    factor = np.linalg.solve(cholesky, np.linalg.cholesky(truth.covariance))
+    product = np.linalg.solve(cholesky, np.linalg.cholesky(truth.covariance))
     difference = np.linalg.solve(cholesky, rival.mean - truth.mean)
-    logs = np.sum(np.log(np.abs(np.diag(factor))))  # both factors are triangular: so is W
-    return float(0.5 * (np.sum(factor**2) + difference @ difference - difference.size) - logs)
+    log_sum = np.sum(np.log(np.abs(np.diag(product))))  # both factors are triangular: so is W
+    return float(0.5 * (np.sum(product**2) + difference @ difference - difference.size) - log_sum)
 
 
 @run_on_one_thread
@@ -164,10 +164,10 @@ def predict_campaign(calibration: Calibration, readings: Measurements) -> Campai
     centred = means - means.mean(axis=0)
     # Noise and inputs at the median of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, for any law.
     hyper = problem.hyper(np.median(v, axis=0))
-    whitener = whitening(problem.noise, hyper, record)(np.eye(record.size))
+    whitening_matrix = whitening(problem.noise, hyper, record)(np.eye(record.size))
     mean_x = x.mean(axis=0)[None]
     variance = np.broadcast_to(problem.expected_and_extra(mean_x, hyper)[1], (1, record.size))[0]
-    covariance = np.linalg.inv(whitener.T @ whitener) + np.diag(variance)
+    covariance = np.linalg.inv(whitening_matrix.T @ whitening_matrix) + np.diag(variance)
     grouped_terms = [t for t in problem.terms if t.per is not None and t.place != "fixed"]
     _, slopes = problem.expected_with_slopes(mean_x, hyper, grouped_terms)
     for t, slope in zip(grouped_terms, slopes, strict=True):

@@ -30,7 +30,7 @@ MIN_READINGS = 30
 STARTING_LEVELS = (-2.0, 0.0, 1.0)
 
 
-def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
+def list_laws(model: Model, frame: Frame) -> dict[str, Noise]:
     """Return the alternative noise laws for a model, by name; {} if its law is not white or the readings are few.
 
     They are correlated noise, if there is a time column; sums of correlated terms, with the setting `finer_noise`;

@@ -35,10 +35,10 @@ def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
     from bayescal._model.noise_law import Noise
 
     module = run_file(path)
-    definitions = vars(module)
-    effects = definitions.get("EFFECTS", [v for v in definitions.values() if isinstance(v, Effect)])
+    namespace = vars(module)
+    effects = namespace.get("EFFECTS", [v for v in namespace.values() if isinstance(v, Effect)])
     effects = (effects,) if isinstance(effects, Effect) else tuple(effects)
-    laws = (v for v in definitions.values() if isinstance(v, type) and issubclass(v, Noise))
+    laws = (v for v in namespace.values() if isinstance(v, type) and issubclass(v, Noise))
     has_law = any(law.__module__ == module.__name__ for law in laws)
     if not (effects or has_law) or not all(isinstance(e, Effect) for e in effects):
         raise InputError(
@@ -85,13 +85,13 @@ def run_file(path: Path) -> ModuleType:
         try:
             exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
         except BaseException as error:  # SystemExit, too, is reported as an error of the file
-            location = f", line {line}" if (line := own_file_line(error)[1]) else ""
+            location = f", line {line}" if (line := find_file_line(error)[1]) else ""
             del _MODULES[key]
             raise InputError(f"{path}{location} could not be run: {format_error(error)}") from None
     return _MODULES[key]
 
 
-def own_file_line(error: BaseException) -> tuple[str, int]:
+def find_file_line(error: BaseException) -> tuple[str, int]:
     """Return file and line of the innermost frame of an error's traceback in a user's file that was run; or ("", 0)."""
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):

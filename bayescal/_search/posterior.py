@@ -31,7 +31,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior probabilities of the structures that have given effects; an effect's probability is its family's."""
+    """Posterior probabilities of the structures that have given effects; an effect has that of its family."""
 
     space: Structures
     condition: frozenset[str]  # effects that all structures have
@@ -47,10 +47,10 @@ class Posterior:
         evaluated = {s: w for s, w in structures.visited.items() if math.isfinite(w.log_posterior)}
         evaluated = {s: w for s, w in evaluated.items() if not structures.is_special_case(s)}
         fitted = {s: w.log_posterior for s, w in evaluated.items()}
-        highest = max(total for s, total in fitted.items() if required <= s.effects)
+        max_total = max(total for s, total in fitted.items() if required <= s.effects)
         # A log posterior from a score may not exceed all fitted ones: the structure would have been fitted.
         scored = structures.scores.items()
-        totals = {s: min(t, highest) for s, t in scored if not structures.is_special_case(s)}
+        totals = {s: min(t, max_total) for s, t in scored if not structures.is_special_case(s)}
         totals |= fitted
         selected = [s for s in totals if required <= s.effects]
         selected = sorted(selected, key=lambda s: (-totals[s], s not in evaluated))
@@ -66,14 +66,14 @@ class Posterior:
 
     @cached_property
     def family_shares(self) -> tuple[dict[str, float], ...]:
-        """Return, for each structure, the probability of each family: equivalents share it by their prior odds."""
+        """Return, for each structure, each family's share of its probability: equivalents share by their prior odds."""
 
-        def shares_in(s: Structure) -> dict[str, float]:
+        def compute_shares(s: Structure) -> dict[str, float]:
             sets, odds = self.space.spans.find_minimal_sets(s.effects), self.space.log_odds
             weights = softmax([sum(odds[n] for n in names) for names in sets])
             return _sum_by_name(map(self.space.families, sets), weights)
 
-        return tuple(map(shares_in, self.structures))
+        return tuple(map(compute_shares, self.structures))
 
     @property
     def best(self) -> Structure:
@@ -87,13 +87,13 @@ class Posterior:
         A structure is incomplete if an unnamed effect is not negligible, be it given, added, or correlated noise.
         """
         space, base_structure = self.space, Structure(self.condition)
-        further_effects = {*unseen, *space.latent_effects(base_structure)}
-        reported = space.reported_families(base_structure) | space.families(further_effects)
+        other_effects = {*unseen, *space.latent_effects(base_structure)}
+        reported = space.reported_families(base_structure) | space.families(other_effects)
         triples = zip(self.structures, self.reported_families, self.has_unnamed, strict=True)
-        named = [not has and f - space.unnamed_effects(s) <= reported for s, f, has in triples]
+        is_named = [not has and f - space.unnamed_effects(s) <= reported for s, f, has in triples]
         fits = map(self.evaluated.get, self.structures)
         has_unnamed_noise = [fit is not None and fit.has_unnamed_noise for fit in fits]
-        return self._sum_probability(np.array(named) & ~np.array(has_unnamed_noise))
+        return self._sum_probability(np.array(is_named) & ~np.array(has_unnamed_noise))
 
     @cached_property
     def has_unnamed(self) -> list[bool]:
@@ -137,13 +137,13 @@ class Posterior:
         return _sum_by_name([s.effects for s in self.structures], self.probability)
 
     def most_probable_form(self, name: str) -> str:
-        """Return the most probable form of a family; the family's name if no structure has any."""
+        """Return the most probable form of a family; the family's name if no structure has a form of it."""
         probabilities = self._form_probability
         forms = [n for n in probabilities if self.space.family(n) == name]
         return max(forms, key=probabilities.__getitem__, default=name)
 
-    def _sum_probability(self, selected: Sequence[bool] | np.ndarray) -> float:
-        return float(min(1.0, self.probability[np.array(selected, dtype=bool)].sum()))
+    def _sum_probability(self, mask: Sequence[bool] | np.ndarray) -> float:
+        return float(min(1.0, self.probability[np.array(mask, dtype=bool)].sum()))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -163,8 +163,8 @@ class Posterior:
                 members.append(substitute)
             if self.inclusion_probability(*members) >= settings().found_probability:
                 sets = [self.space.families(s.effects) for s in self.structures]
-                share = {n: self._sum_probability([n in f for f in sets]) for n in members}
-                order = sorted(members, key=lambda n: -share[n])
+                shares = {n: self._sum_probability([n in f for f in sets]) for n in members}
+                order = sorted(members, key=lambda n: -shares[n])
                 findings.append(Finding(tuple(order), self.probability_of_names(*members)))
         findings.sort(key=lambda f: (-self.inclusion_probability(f.effects[0]), len(f.effects)))
         return tuple(findings)
@@ -172,9 +172,9 @@ class Posterior:
     def _find_next_substitute(self, members: list[str]) -> str | None:
         """Return the most probable effect in the structures without any of the members."""
         # Other effects of the best structure, of the condition and latent in it are no substitutes.
-        given = self.condition | self.space.latent_effects(Structure(self.condition))
-        best, condition = map(self.space.families, (self.best.effects, given))
-        excluded_families, sets = (best - {members[0]}) | condition, self.reported_families
+        given_effects = self.condition | self.space.latent_effects(Structure(self.condition))
+        best_families, condition = map(self.space.families, (self.best.effects, given_effects))
+        excluded_families, sets = (best_families - {members[0]}) | condition, self.reported_families
         others = [s - excluded_families if s.isdisjoint(members) else frozenset() for s in sets]
         probabilities = _sum_by_name(others, self.probability)
         return max(probabilities, key=probabilities.__getitem__, default=None)
@@ -264,8 +264,8 @@ class Search:
     max_effects: int | None = None  # largest number of effects that it may add
 
     @classmethod
-    def summarise(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
-        """Summarise the structures evaluated so far; `counts` are the other fields."""
+    def summarise(cls, structures: Structures, *, complete: bool, **fields: Any) -> Search:
+        """Summarise the structures evaluated so far; `fields` are the other fields."""
         fits, summaries = structures.visited.values(), list[StructureSummary]()
         if any(math.isfinite(w.log_posterior) for w in fits):
             posterior = Posterior.from_structures(structures)
@@ -276,4 +276,4 @@ class Search:
                 effects, noise = tuple(sorted(w.structure.effects)), w.structure.noise
                 summaries.append(StructureSummary(effects, noise, w.log_evidence, float(p)))
             summaries[0] = replace(summaries[0], rms=rms)
-        return cls(tuple(summaries), len(fits), complete, **counts)
+        return cls(tuple(summaries), len(fits), complete, **fields)

@@ -68,8 +68,8 @@ class TermComparison(NamedTuple):
     @property
     def claim(self) -> Claim:
         """Return the claim on the term: why its coefficient is not measured, or that it is confounded."""
-        added, column = tuple(e.name for e in self.added), self.term.varies
-        details = {"by": added, "column": column, "left": self.tolerance}
+        added_names, column = tuple(e.name for e in self.added), self.term.varies
+        details = {"by": added_names, "column": column, "left": self.tolerance}
         if self.is_measured:
             return Claim("term.confounded", self.term.name, **details)
         code = "term.replaced" if self.ratio < MIN_RATIO else "term.replaceable"
@@ -108,12 +108,12 @@ def _compare_term(
     first, last = first_fit.linear, last_fit.linear
     is_term = np.array([owner == term.name for owner in last.owners])
     is_added = np.isin(last.owners, [e.name for e in added])
-    others = np.isin(last.owners, first.owners) & ~is_term
+    is_other_term = np.isin(last.owners, first.owners) & ~is_term
     column = last.white_nuisance[:, is_term].sum(axis=1)
     # Tolerance with the added effects over that without: residual of the column c on the others, times c (ridge).
-    groups = others, others | is_added
-    without, with_added = (float(column @ last.deflate(column, is_other)) for is_other in groups)
-    tolerance = with_added / max(without, 1e-300)
+    groups = is_other_term, is_other_term | is_added
+    without, squares = (float(column @ last.deflate(column, is_other)) for is_other in groups)
+    tolerance = squares / max(without, 1e-300)
     # Its one coefficient, less the prior mean, in its unit.
     i, j = first.owners.index(term.name), last.owners.index(term.name)
     first_mean, last_mean = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
@@ -130,8 +130,8 @@ def has_repeated_profile(readings: Measurements, column: str) -> bool:
         return False
     if len(readings.records.rows) < 2:
         return False
-    times, values_of = readings["time"], readings[column]
-    profiles = ((times[r] - times[r[0]], values_of[r]) for r in readings.records.in_time)
+    times, column_values = readings["time"], readings[column]
+    profiles = ((times[r] - times[r[0]], column_values[r]) for r in readings.records.in_time)
     ((first, first_values), *others), correlation = profiles, limit("profile.one", "correlation")
     for time, values in others:
         is_inside = time <= first[-1]
@@ -157,11 +157,11 @@ def list_profile_claims(calibration: Calibration) -> list[Claim]:
 
 def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
     """Return advice on the run that best separates effects of columns: one that starts at the other temperature."""
-    column, *others = columns
-    if others or column not in calibration.frame.rates:
+    column, *other_columns = columns
+    if other_columns or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} independently in another run."
     values = calibration.readings[column]
     start = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
-    limits = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
-    far_end, near_end = (number(float(end), 3) for end in limits)
+    ends = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
+    far_end, near_end = (number(float(end), 3) for end in ends)
     return f"Another profile would separate them: a run from {far_end} to {near_end} °C and back."

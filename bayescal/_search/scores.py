@@ -86,17 +86,17 @@ class Scorer:
             whitened_columns = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
             whitened_by_model[rows] = whitened_columns[:, :-1], whitened_columns[:, -1]
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
-        nuisance, _ = whitened_by_model[linear]
-        self.inner = nuisance.T @ nuisance
-        self.cross = np.empty((nuisance.shape[1], library.n_columns))
-        self.scores = np.empty(library.n_columns)
+        nuisances, _ = whitened_by_model[linear]
+        self.inner = nuisances.T @ nuisances
+        self.cross = np.empty((nuisances.shape[1], library.column_count))
+        self.scores = np.empty(library.column_count)
         gram: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
         for points in library.iterate_blocks(self.linear_means.size):
-            rows, first = self.linear_for(points), points[0].block.start
-            nuisance, residual = whitened_by_model[rows]
+            rows, first = self.choose_linear_model(points), points[0].block.start
+            nuisances, residual = whitened_by_model[rows]
             candidate_columns = rows.decorrelate(self.columns(rows, points))
             block = slice(first, points[-1].block.stop)
-            self.cross[:, block] = nuisance.T @ candidate_columns
+            self.cross[:, block] = nuisances.T @ candidate_columns
             self.scores[block] = candidate_columns.T @ residual
             for p in points:
                 columns = candidate_columns[:, p.block.start - first : p.block.stop - first]
@@ -105,7 +105,7 @@ class Scorer:
         self.half_logdet = 0.0
         self.half_logdet = self.reduced_model().half_logdet
 
-    def linear_for(self, points: Sequence[GridPoint]) -> LinearModel:
+    def choose_linear_model(self, points: Sequence[GridPoint]) -> LinearModel:
         """Return the linear model that scores these points: on means, unless a candidate varies within them."""
         varies_within_means = any(p.name in self.library.unaveraged for p in points)
         return self.linear if varies_within_means else self.linear_means
@@ -126,17 +126,17 @@ class Scorer:
         prior_squares, inner_z = float(linear.weight @ z**2), self.inner @ z
         shapes = float(linear.weight[~is_kept & ~is_in_x] @ linear.z[~is_kept & ~is_in_x] ** 2)
         sum_of_squares = linear.rss + prior_squares + float(z @ inner_z) - shapes
-        inner = self.inner[np.ix_(is_kept, is_kept)] + np.diag(linear.weight[is_kept])
-        chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
+        precision = self.inner[np.ix_(is_kept, is_kept)] + np.diag(linear.weight[is_kept])
+        cholesky = np.linalg.cholesky(precision + 1e-12 * np.diag(np.diag(precision)))
         # The kept nuisances are integrated out: with L·Lᵀ = AᵀA + W, by the projections L⁻¹Aᵀ of r₀ and each column.
-        kept_score = solve_triangular(chol, inner_z[is_kept], lower=True)
-        projection = solve_triangular(chol, self.cross[is_kept], lower=True)
+        kept_score = solve_triangular(cholesky, inner_z[is_kept], lower=True)
+        projection = solve_triangular(cholesky, self.cross[is_kept], lower=True)
         return ReducedModel(
             scorer=self,
             projection=projection,
             scores=self.scores + self.cross.T @ z - projection.T @ kept_score,
             rss=sum_of_squares - float(kept_score @ kept_score),
-            half_logdet=float(np.sum(np.log(np.diag(chol)))),
+            half_logdet=float(np.sum(np.log(np.diag(cholesky)))),
         )
 
 
@@ -152,7 +152,7 @@ class ReducedModel(NamedTuple):
     @run_on_one_thread
     def score_candidates(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
         """Score every grid point of these candidates, each candidate's most probable point first."""
-        by_name = {}
+        scores = {}
         for name in names:
             points = self.scorer.library.points[name]
             # Most candidates have one column: their points are scored in one array, without a matrix for each.
@@ -160,12 +160,12 @@ class ReducedModel(NamedTuple):
             factors = self._score_columns(name) if is_single else self._score_blocks(name)
             means, best_scales = np.logaddexp.reduce(factors, axis=1), np.argmax(factors, axis=1)
             scales = self.scorer.library.prior_scales[name]
-            scored_points = by_name[name] = list[ScoredPoint]()
+            scored_points = scores[name] = list[ScoredPoint]()
             for i in np.argsort(-means, kind="stable"):
                 p, scale = points[i], scales[best_scales[i]]
                 terms = self.projection[:, p.block], self.scores[p.block]
                 scored_points.append(ScoredPoint(p, float(means[i]), scale, self.scorer, *terms))
-        return by_name
+        return scores
 
     def _score_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """Return log Bayes factors of a candidate with one column, at each point and prior scale."""
@@ -173,13 +173,13 @@ class ReducedModel(NamedTuple):
         columns = slice(points[0].block.start, points[-1].block.stop)
         projected_squares = np.sum(self.projection[:, columns] ** 2, axis=0)
         information = self.scorer.gram[name][:, 0, 0] - projected_squares
-        square = np.array([s.sd[0] ** 2 for s in scales])
+        prior_variances = np.array([s.sd[0] ** 2 for s in scales])
         log_weight = np.array([s.log_weight for s in scales])
         # A coefficient of prior sd s, score u and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K) at
         # known noise; `_compute_log_bayes_factor` maximises over the noise. All points and scales in one array.
-        inner = 1 + np.maximum(information, 0.0)[:, None] * square
-        explained = self.scores[columns, None] ** 2 * square / inner
-        return self._compute_log_bayes_factor(0.5 * np.log(inner), explained) + log_weight
+        variance_ratio = 1 + np.maximum(information, 0.0)[:, None] * prior_variances
+        explained = self.scores[columns, None] ** 2 * prior_variances / variance_ratio
+        return self._compute_log_bayes_factor(0.5 * np.log(variance_ratio), explained) + log_weight
 
     def _score_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """Return log Bayes factors of a candidate with several columns, at each point and prior scale."""
@@ -206,10 +206,10 @@ class ReducedModel(NamedTuple):
         """
         return self._compute_log_bayes_factor(*explained_sum_of_squares(score, information))
 
-    def _compute_log_bayes_factor(self, half_logdet: Any, explained: Any) -> Any:
+    def _compute_log_bayes_factor(self, half_logdet: Any, explained_squares: Any) -> Any:
         """Compute the log Bayes factor from half the log determinant and the explained sum of squares of columns."""
         # At the noise variance of maximum likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for constants.
-        rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)
+        rss_ratio = np.maximum((self.rss - explained_squares) / self.scorer.linear.rss, 1e-12)
         half_logdet = self.half_logdet + half_logdet - self.scorer.half_logdet
         return -half_logdet - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
 
@@ -226,15 +226,15 @@ class ReducedModel(NamedTuple):
         # Columns of all points side by side, and a column of zeros to pad candidates with fewer columns.
         sd = np.concatenate([*(p.prior_scale.sd for p in points), [0.0]])
         grid_points = [p.point for p in points]
-        rows = self.scorer.linear_for(grid_points)
+        rows = self.scorer.choose_linear_model(grid_points)
         columns = rows.decorrelate(self.scorer.columns(rows, grid_points))
         projection = np.column_stack([p.projection for p in points])
         columns, projection = (np.pad(a, ((0, 0), (0, 1))) for a in (columns, projection))
         score = sd * np.concatenate([*(p.score for p in points), [0.0]])
         information = sd[:, None] * (columns.T @ columns - projection.T @ projection) * sd
         counts = np.array([len(p.score) for p in points])
-        start, step = np.cumsum(counts) - counts, np.arange(counts.max())
-        column_index = np.where(step < counts[:, None], start[:, None] + step, len(sd) - 1)
+        starts, offsets = np.cumsum(counts) - counts, np.arange(counts.max())
+        column_index = np.where(offsets < counts[:, None], starts[:, None] + offsets, len(sd) - 1)
         pair_columns = column_index[np.array(index_pairs)].reshape(len(index_pairs), -1)
         information = information[pair_columns[:, :, None], pair_columns[:, None]]
         factors = self.log_bayes_factor(score[pair_columns], information).tolist()

@@ -150,8 +150,8 @@ class SearchPath(Printed):
         if search is None or not search.structures:
             return ""
         if len(self.steps) > 1:
-            error = f"rms residual {number(self.final.rmse_fitted)} {unit}"
-            return f"{search.seconds:.0f} s, fitted: {self.final.title}, {error}"
+            error_text = f"rms residual {number(self.final.rmse_fitted)} {unit}"
+            return f"{search.seconds:.0f} s, fitted: {self.final.title}, {error_text}"
         best = search.structures[0]
         text = f"rms residual {number(best.rms)} {unit}"
         if search.weighed == 1:
@@ -200,11 +200,8 @@ class SearchPath(Printed):
         rows = self.rows
         note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
         lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
-        lines += [NEW_RUN_NOTE] * new_run_differs(rows)
-        if rows[-1]["rmse_fitted"] < rows[-1]["noise_floor"]:
-            directions = self.final.calibration.linear.directions  # of each effective unknown
-            lines.append(FLOOR_NOTE.format(round((directions**2).sum()), len(directions)))
-        lines += [LAPLACE_NOTE] * any("least" in s.calibration.method for s in self.steps[:-1])
+        lines += [NEW_RUN_NOTE] * differs_in_new_run(rows)
+        lines += [FLOOR_NOTE] * any(s["rmse_fitted"] < s["noise_floor"] for s in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
         heads, texts = list_headings(self.complete), dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
@@ -218,9 +215,9 @@ class SearchPath(Printed):
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """Return each step as plain data: its errors, log evidence, and P(complete)."""
-        steps = enumerate(pairwise([None, *self.steps]))
-        return [{"number": i, **step.row(previous)} for i, (previous, step) in steps]
+        """Return each step's table row (`Step.row`) with its number."""
+        steps = [step.row(previous) for previous, step in pairwise([None, *self.steps])]
+        return [{"number": i, **row} for i, row in enumerate(steps)]
 
     @property
     def added(self) -> dict[str, float | None]:
@@ -240,8 +237,8 @@ class SearchPath(Printed):
 def list_headings(complete: bool) -> dict[float, str]:
     """Return the headings of added effects by their lowest probability, the highest first."""
     found = "found" if complete else "best when the search ended"
-    others = {0.5: "more probable than not", 0.0: "in the last model, one of several"}
-    return {settings().found_probability: found, **others}
+    other_headings = {0.5: "more probable than not", 0.0: "in the last model, one of several"}
+    return {settings().found_probability: found, **other_headings}
 
 
 def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:
@@ -262,25 +259,25 @@ def is_rise(error: float | None, previous: float | None) -> bool:
     return error is not None and previous is not None and error > WORSE_RATIO * previous
 
 
-def new_run_differs(rows: Sequence[Mapping[str, Any]]) -> bool:
+def differs_in_new_run(rows: Sequence[Mapping[str, Any]]) -> bool:
     """Return whether the printed error of a new run differs from the error as fitted at any step."""
     return any(number(r["rmse"]) != number(r["rmse_fitted"]) for r in rows)
 
 
 def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """Return the table of errors by step, of `Step.row` or the steps of a result.json."""
+    """Tabulate errors by step; `rows`: those of `SearchPath.rows`, or the steps of a result.json."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 
-    def held_out(row: Mapping[str, Any]) -> str:
+    def format_holdout(row: Mapping[str, Any]) -> str:
         return f"{number(row['holdout_rmse'])}{RISE_MARK * row['rises']}"
 
-    holdout_columns = [TableColumn("held-out", held_out, unit=unit, name="")]
+    holdout_columns = [TableColumn("held-out", format_holdout, unit=unit, name="")]
     columns = (
         TableColumn("step", lambda r: r["title"], None),
         TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
         TableColumn("rms as fitted", "rmse_fitted", number, unit, name="as fitted"),
-        TableColumn("new run", "rmse", number if new_run_differs(rows) else None, unit),
+        TableColumn("new run", "rmse", number if differs_in_new_run(rows) else None, unit),
         TableColumn(
             scheme(group or "group"),
             lambda r: out["rmse"] if (out := r["leave_one_group_out"]) else None,

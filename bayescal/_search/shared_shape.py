@@ -51,10 +51,10 @@ class ShapeEvidence(NamedTuple):
     def update(self, prior: CavityPrior, shape: Shape) -> ChannelPosterior:
         """Return the channel's posterior of the effect under a cavity prior."""
         low, high = (shape.prior.coordinate(limit) for limit in (prior.low, prior.high))
-        centre, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
-        v = _distinct(np.concatenate([self.v, centre + sd * FINE_GRID_SD]))
+        mean_v, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
+        v = _sort_distinct(np.concatenate([self.v, mean_v + sd * FINE_GRID_SD]))
         # Cavity prior mass times the channel's own ratio, on a grid refined where the prior lies.
-        log_joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, centre, sd)
+        log_joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, mean_v, sd)
         log_ratio = float(np.logaddexp.reduce(log_joint))
         weight = np.exp(log_joint - log_ratio)
         mean = float(weight @ v)
@@ -76,8 +76,8 @@ class ChannelPosterior(NamedTuple):
         # Kullback–Leibler divergence of N(v, sd²) from the previous one: ½·(r² + d² − 1) − log r, r the ratio of the
         # standard deviations and d the shift over the previous one. A shift of half a standard deviation alone is ⅛.
         r, d = self.sd / previous.sd, (self.v - previous.v) / previous.sd
-        divergence = (r**2 + d**2 - 1) / 2 - math.log(r)
-        return is_changed, is_changed or (is_possible and divergence > MIN_NATS)
+        compute_divergence = (r**2 + d**2 - 1) / 2 - math.log(r)
+        return is_changed, is_changed or (is_possible and compute_divergence > MIN_NATS)
 
 
 @renamed(says="log_ratios", evidence="log_bayes_factor", from_others="cavity_prior")
@@ -96,12 +96,12 @@ class SharedShape:
         cls, effect: str, shape: Shape, prior: float, evidence: Mapping[str, ShapeEvidence]
     ) -> SharedShape:
         """Interpolate the evidence of each channel to the grid points of all channels."""
-        v = _distinct(np.concatenate([e.v for e in evidence.values()]))
+        v = _sort_distinct(np.concatenate([e.v for e in evidence.values()]))
         log_ratios = {name: np.interp(v, e.v, e.log_ratio) for name, e in evidence.items()}
         return cls(effect, shape, v, prior, log_ratios)
 
     def _log_joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
-        """Return the log of P(effect, fraction, shape, readings of given channels) / P(readings | no effect)."""
+        """Return log [P(effect, fraction, shape, readings of given channels)/P(readings | no effect)] on both grids."""
         # A channel has the effect with probability s: likelihood ratio (1 − s) + s·ratio(v), independent given v, s.
         logs = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.log_ratios[n]) for n in names)
         return log_mass(self.v) - math.log(SHARES.size) + sum(logs) + math.log(self.prior)
@@ -161,26 +161,26 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
     # Structures fitted in the previous round only have their log posterior corrected for the new priors.
     refits = {**structures.previous_round, **structures.visited}
     fits = (w for w in refits.values() if math.isfinite(w.log_posterior))
-    evaluated = sorted(fits, key=lambda w: -w.log_posterior)
-    with_effect = [w for w in evaluated if name in w.structure.effects][:MAX_STRUCTURES]
-    without_effect = [w for w in evaluated if name not in w.structure.effects][:MAX_STRUCTURES]
-    v = _build_shape_coordinates(shape, local_shape, with_effect[:1], f"{name}.{shape.name}")
+    sorted_fits = sorted(fits, key=lambda w: -w.log_posterior)
+    fits_with = [w for w in sorted_fits if name in w.structure.effects][:MAX_STRUCTURES]
+    fits_without = [w for w in sorted_fits if name not in w.structure.effects][:MAX_STRUCTURES]
+    v = _build_shape_coordinates(shape, local_shape, fits_with[:1], f"{name}.{shape.name}")
     u = np.array([local_shape.prior.coordinate(float(shape.prior.value(x))) for x in v])
     library = Library(structures, {name: u[:, None]})
     # An effect that was never fitted has the log posterior below which no structure is fitted.
     log_with_effect = [np.full(len(v), structures.best.log_posterior - LAW_WINDOW_NATS)]
-    for fit in with_effect:
+    for fit in fits_with:
         # A fit gives the integral over v, the score the form over v, scaled so that its prior mean is the evidence of
         # the fit, and flat far behind the best. For structures to which no fit adds the effect the score gives both.
         is_near = structures.is_in_window(fit.log_posterior, COARSE_NATS)
         factors = _score_shape(library, fit, name) if is_near else np.zeros(len(v))
         log_posterior = fit.log_posterior - structures.log_odds[name]
         log_with_effect.append(log_posterior + factors - np.logaddexp.reduce(factors + log_mass(u)))
-    for fit in without_effect if name in library.points else ():
+    for fit in fits_without if name in library.points else ():
         is_allowed = name not in structures.excluded_candidates(fit.structure)
         if is_allowed and fit.structure.with_effects(name) not in refits:
             log_with_effect.append(fit.log_posterior + _score_shape(library, fit, name))
-    log_without = np.logaddexp.reduce([w.log_posterior for w in without_effect])
+    log_without = np.logaddexp.reduce([w.log_posterior for w in fits_without])
     return ShapeEvidence(v, np.logaddexp.reduce(log_with_effect, axis=0) - log_without)
 
 
@@ -198,10 +198,10 @@ def _build_shape_coordinates(
         fine_grid = fit.mode.v[index] + np.clip(sd, MIN_SD, 1.0) * FINE_GRID_SD
         values.append(fit.problem.hypers[index].prior.value(fine_grid))
     coordinates = [shape.prior.coordinate(float(value)) for value in np.concatenate(values)]
-    return _distinct(np.concatenate([even_grid, coordinates]))
+    return _sort_distinct(np.concatenate([even_grid, coordinates]))
 
 
-def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+def _sort_distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     """Return sorted distinct coordinates within the limits of the grid."""
     v = np.sort(v[np.abs(v) <= GRID_LIMIT_SD])
     return v[np.insert(np.diff(v) > 1e-6, 0, True)]
@@ -219,5 +219,5 @@ def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[
         v = np.array([shape.prior.coordinate(float(value)) for value in values])
         log_prior = np.asarray(shape.prior.log_density(v))
         return fit.log_density_along(f"{name}.{shape.name}", v) - log_prior
-    scored = Scorer(library, fit).reduced_model(name).score_candidates([name])[name]
-    return np.array([s.log_bayes_factor for s in sorted(scored, key=lambda s: s.point.block.start)])
+    points = Scorer(library, fit).reduced_model(name).score_candidates([name])[name]
+    return np.array([s.log_bayes_factor for s in sorted(points, key=lambda s: s.point.block.start)])

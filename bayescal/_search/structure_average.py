@@ -74,11 +74,11 @@ def add_inadequacy(
         f"lacks an effect is taken to have {INCOMPLETE_FACTOR:g} times its uncertainty. Tables of coefficients omit f."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
-    spreads = _run_spreads(calibration, structures, structure)
-    return replace(with_note, form_factor=factor, unfound_spreads=spreads)
+    run_spreads = _find_run_spreads(calibration, structures, structure)
+    return replace(with_note, form_factor=factor, unfound_spreads=run_spreads)
 
 
-def _run_spreads(
+def _find_run_spreads(
     calibration: Calibration, structures: Structures, structure: Structure
 ) -> dict[str, float]:
     """Return the rms between-run standard deviation of each between-run effect that some draws lack, by name.
@@ -103,11 +103,11 @@ def average_models(
     last: Calibration, structures: Structures, noise: str, seed: int
 ) -> tuple[Calibration, tuple[StructureShare, ...]]:
     """Return the Bayesian model average over the structures (`last` if only one is probable), and their weights."""
-    shares = structure_shares(structures, noise)
+    shares = list_shares(structures, noise)
     last_effects = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
         return last, shares
-    random, parts = np.random.default_rng(seed), list[tuple[Model, _Values]]()
+    rng, parts = np.random.default_rng(seed), list[tuple[Model, _Values]]()
     with track("averaging over structures"):
         for share in shares:
             deadline.current().raise_if_over()
@@ -115,7 +115,7 @@ def average_models(
             if frozenset(share.effects) == last_effects:
                 # The last structure was sampled already: take from its draws, without repetition if there are enough.
                 x, v = last.draws()
-                indices = random.choice(len(x), count, replace=count > len(x))
+                indices = rng.choice(len(x), count, replace=count > len(x))
                 parts.append((last.model, _collect_draws(last.layout, x[indices], v[indices])))
             else:
                 fit = structures.evaluate(Structure(frozenset(share.effects), noise))
@@ -132,48 +132,48 @@ def average_models(
 def add_latent_effects(
     last: Calibration, in_use: Calibration, structures: Structures, structure: Structure
 ) -> tuple[Calibration, Calibration]:
-    """Add latent effects, which the readings cannot separate from a structure's, to both calibrations; return these.
+    """Return both calibrations with the latent effects, which the readings cannot separate from a structure's.
 
     Existing draws are conditional on zero latent effects. Latent effects are drawn from their posterior, and all other
     unknowns shifted by their regression on them; effects of one span have wide priors, since their sizes are unknown.
     """
-    latent = structures.latent_effects(structure)
-    spanning = structures.spans.find_spanning(structure.effects)
-    if not latent:
+    latent_names = structures.latent_effects(structure)
+    find_spanning = structures.spans.find_spanning(structure.effects)
+    if not latent_names:
         return last, in_use
-    names = [n for n in structures.candidates if n in latent | spanning]
-    joint = _extend_model(last, structures.with_wide_priors(last.model, names))
-    linear, layout = joint.linear, joint.layout
-    is_latent, covariance = np.isin(linear.owners, [*latent]), linear.root @ linear.root.T
+    names = [n for n in structures.candidates if n in latent_names | spanning]
+    extended_fit = _extend_model(last, structures.with_wide_priors(last.model, names))
+    linear, layout = extended_fit.linear, extended_fit.layout
+    is_latent, covariance = np.isin(linear.owners, [*latent_names]), linear.root @ linear.root.T
     latent_covariance = covariance[np.ix_(is_latent, is_latent)]
     # Regression coefficients of each unknown on the latent effects: its shift per unit.
     regression = np.linalg.solve(latent_covariance, covariance[is_latent]) * linear.sd
-    by_name = {b.name: regression[:, b.x_slice] for b in layout.x_blocks}
+    shifts = {b.name: regression[:, b.x_slice] for b in layout.x_blocks}
     hypers = ((layout.hypers[i].name, layout.size + k) for k, i in enumerate(layout.nonlinear_phi))
-    by_name |= {name: regression[:, column] for name, column in hypers}
+    shifts |= {name: regression[:, column] for name, column in hypers}
 
     def add_latent(calibration: Calibration) -> Calibration:
         extended = _extend_model(calibration, structures.with_wide_priors(calibration.model, names))
         x, v = (a.copy() for a in extended.draws())
-        random = np.random.default_rng([extended.seed, 4])
+        rng = np.random.default_rng([extended.seed, 4])
         cholesky = np.linalg.cholesky(latent_covariance)
-        values = random.standard_normal((len(x), len(cholesky))) @ cholesky.T + linear.z[is_latent]
+        values = rng.standard_normal((len(x), len(cholesky))) @ cholesky.T + linear.z[is_latent]
         inclusion = calibration.inclusion_masks
         for name in spanning:
             values *= inclusion[name][:, None]
-        for name in latent & inclusion.keys():
+        for name in latent_names & inclusion.keys():
             values *= ~inclusion[name][:, None]
         for b in extended.layout.x_blocks:
-            if b.name in by_name:
-                mask = 1.0 if b.effect.name in latent else inclusion[b.effect.name][:, None]
-                x[:, b.x_slice] += mask * (values @ by_name[b.name])
-        for name in by_name.keys() & extended.layout.index_in_phi:
-            v[:, extended.layout.index_in_phi[name]] += values @ by_name[name]
+            if b.name in shifts:
+                mask = 1.0 if b.effect.name in latent_names else inclusion[b.effect.name][:, None]
+                x[:, b.x_slice] += mask * (values @ shifts[b.name])
+        for name in shifts.keys() & extended.layout.index_in_phi:
+            v[:, extended.layout.index_in_phi[name]] += values @ shifts[name]
         mode = _average_mode(calibration, extended.layout, x, v)
         return replace(extended, joint=Draws.of(x, v), mode=mode)
 
-    joint = add_latent(last)
-    return joint, joint if in_use is last else add_latent(in_use)
+    extended_fit = add_latent(last)
+    return extended_fit, extended_fit if in_use is last else add_latent(in_use)
 
 
 def _extend_model(calibration: Calibration, model: Model) -> Calibration:
@@ -182,14 +182,14 @@ def _extend_model(calibration: Calibration, model: Model) -> Calibration:
     return _combine_draws(calibration, model, [(calibration.model, draws)], shuffle=False)
 
 
-def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
+def list_shares(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
     """Return the sets of effects in the average with their weights, which sum to one, the most probable first."""
     posterior, probabilities = Posterior.from_structures(structures), dict[frozenset[str], float]()
     for s, probability in zip(posterior.structures, posterior.probability, strict=True):
         if s in posterior.evaluated:
             # Sum over noise laws: all coefficients are drawn under the last model's law.
             probabilities[s.effects] = probabilities.get(s.effects, 0.0) + float(probability)
-    excluded = structures.excluded_candidates(Structure(noise=noise))
+    excluded_names = structures.excluded_candidates(Structure(noise=noise))
     findings = [frozenset(f.effects) for f in posterior.findings]
     shares, covered_mass, mass_sum = dict[frozenset[str], float](), 0.0, sum(probabilities.values())
     for effects, part in sorted(probabilities.items(), key=lambda m: -m[1]):
@@ -197,11 +197,11 @@ def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare
         is_credible = covered_mass < settings().found_probability
         is_likely = is_credible and part >= settings().averaged_probability
         has_all_findings = not any(f.isdisjoint(families) for f in findings)
-        if is_likely and effects.isdisjoint(excluded) and has_all_findings:
+        if is_likely and effects.isdisjoint(excluded_names) and has_all_findings:
             shares[effects] = part
         covered_mass += part / mass_sum
-    averaged = sum(shares.values())
-    return tuple(StructureShare(tuple(sorted(e)), p / averaged) for e, p in shares.items())
+    total = sum(shares.values())
+    return tuple(StructureShare(tuple(sorted(e)), p / total) for e, p in shares.items())
 
 
 def _draw_structure(fit: EvaluatedStructure, count: int, probability: float, seed: int) -> _Values:
@@ -242,21 +242,21 @@ def _combine_draws(
     members = tuple((group, len(names)) for group, names in new_groups.items())
     layout = replace(last.layout, model=model, counts=(*last.layout.counts, *members), promoted=())
 
-    def in_layout(member: Model, draws: _Values) -> tuple[np.ndarray, np.ndarray]:
+    def convert_draws(member_model: Model, draws: _Values) -> tuple[np.ndarray, np.ndarray]:
         # An effect that a structure lacks has the coefficient zero in its draws, not its prior's mean.
         count = len(next(iter(draws.values())))
         x, v = np.zeros((count, layout.size)), np.full((count, len(layout.hypers)), np.nan)
         for b in layout.x_blocks:
             if b.name in draws:
                 x[:, b.x_slice] = draws[b.name].reshape(count, -1) - b.origin
-            elif b.index in b.effect.constant_indices and b.effect.name in member.names:
+            elif b.index in b.effect.constant_indices and b.effect.name in member_model.names:
                 x[:, b.start] = b.coefficient.mean
         for i, h in enumerate(layout.hypers):
             if h.name in draws:
                 v[:, i] = h.prior.coordinate(draws[h.name])
         return x, v
 
-    x, v = map(np.concatenate, zip(*starmap(in_layout, parts), strict=True))
+    x, v = map(np.concatenate, zip(*starmap(convert_draws, parts), strict=True))
     # Shapes and spreads of absent effects have no influence: the median leaves summaries unchanged.
     spreads = {b.group_sd_name for b in layout.blocks}
     for values, h in zip(v.T, layout.hypers, strict=True):
@@ -278,7 +278,7 @@ def _combine_draws(
 def _average_mode(last: Calibration, layout: Layout, x, v) -> Mode:
     """Return the expansion point of the average: means of the draws of x, medians of φ."""
     scales = {b.name: last.mode.flat[b.x_slice] for b in last.layout.x_blocks}
-    flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
+    flat_scales = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
     medians = np.median(v, axis=0)
     # Absent spreads have the coordinate −30, which must not count in its variance.
     coordinates = np.where(v > 0.5 * ZERO_SD_COORDINATE, v, medians)
@@ -287,5 +287,5 @@ def _average_mode(last: Calibration, layout: Layout, x, v) -> Mode:
         x=x.mean(axis=0),
         v=np.where(medians > 0.5 * ZERO_SD_COORDINATE, medians, ZERO_SD_COORDINATE),
         covariance=covariance + 1e-9 * np.eye(v.shape[1]),
-        flat=np.concatenate([np.zeros(0), *flat]),
+        flat=np.concatenate([np.zeros(0), *flat_scales]),
     )

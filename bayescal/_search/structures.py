@@ -123,9 +123,9 @@ class EvaluatedStructure:
         model = self.model
         candidates = {e.name for e in list_forms(model.instrument.candidates)}
         for name, factor in (self.problem.size_factors or {}).items():
-            first = model.effect(name).coefficients[0]
-            if factor != 1.0 and name in candidates and not first.flat:
-                model = model.resize(name, factor * first.size)
+            coefficient = model.effect(name).coefficients[0]
+            if factor != 1.0 and name in candidates and not coefficient.flat:
+                model = model.resize(name, factor * coefficient.size)
         return model
 
 
@@ -153,14 +153,14 @@ class Structures:
     def log_odds(self) -> dict[str, float]:
         """Return the prior log odds that each candidate, in its form, is missing."""
         forms = self.forms.values()
-        unknown = [f for f in forms if self.candidates[f[0]].is_placeholder]
+        unnamed = [f for f in forms if self.candidates[f[0]].is_placeholder]
         named = [f for f in forms if not self.candidates[f[0]].is_placeholder]
         share = UNNAMED_PRIOR_SHARE if named else 1.0
         log_odds = {}
-        for families, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
+        for families, portion in ((unnamed, share), (named, 1 - share if unnamed else 1.0)):
             for names in families:
-                # k candidates of odds o are all out with probability (1 + o)⁻ᵏ: prior_complete to its power `part`.
-                odds = math.expm1(-math.log(settings().prior_complete) * part / len(families))
+                # k candidates of odds o are all out with probability (1 + o)⁻ᵏ: prior_complete to its power `portion`.
+                odds = math.expm1(-math.log(settings().prior_complete) * portion / len(families))
                 for name in names:
                     log_odds[name] = self.stated_log_odds.get(name, math.log(odds / len(names)))
         return log_odds
@@ -200,8 +200,8 @@ class Structures:
     def is_special_case(self, structure: Structure) -> bool:
         """Return whether the structure with a more general form of an effect, with a free shape, was evaluated."""
         for name in structure.effects:
-            if general := self.candidates[name].general:
-                fit = self.visited.get(structure.without_effects(name).with_effects(general))
+            if general_name := self.candidates[name].general:
+                fit = self.visited.get(structure.without_effects(name).with_effects(general_name))
                 if fit is not None and math.isfinite(fit.log_posterior):
                     return True
         return False
@@ -231,8 +231,8 @@ class Structures:
 
     def reported_families(self, structure: Structure) -> frozenset[str]:
         """Return the families of a structure's effects and of their equivalents."""
-        named = structure.effects.union(*self.equivalents_by_effect(structure).values())
-        return self.families(named)
+        names = structure.effects.union(*self.equivalents_by_effect(structure).values())
+        return self.families(names)
 
     def noise_law(self, structure: Structure) -> Noise:
         return self.noise_laws.get(structure.noise, self.base.noise)
@@ -251,13 +251,13 @@ class Structures:
 
     def candidates_for(self, structure: Structure) -> list[str]:
         """Return the candidates that may be added to a structure."""
-        excluded = structure.effects | self.excluded_candidates(structure)
-        return [n for n in self.candidates if n not in excluded]
+        excluded_names = structure.effects | self.excluded_candidates(structure)
+        return [n for n in self.candidates if n not in excluded_names]
 
     def build_model(self, structure: Structure) -> Model:
         """Return the model of a structure, its effects in the catalogue's order."""
-        added = [e for name, e in self.candidates.items() if name in structure.effects]
-        effects = (*self.base.effects, *added)
+        added_effects = [e for name, e in self.candidates.items() if name in structure.effects]
+        effects = (*self.base.effects, *added_effects)
         return Model(self.base.instrument, effects, self.noise_law(structure), self.base.fixed)
 
     def evaluate(
@@ -323,7 +323,7 @@ class Structures:
             first_mode = find_mode(problem, xtol=XTOL_SD, coarse_below=coarse_below)
         else:
             source, mode = neighbour.problem, neighbour.mode
-            points = starting_points(problem, source, mode, known_starts)
+            points = list_starts(problem, source, mode, known_starts)
             x, curvature = problem.map_x(source, mode.x), None
             if self.record.nodes(problem.noise) is None:
                 # The neighbour's mode is exact if it was not found coarsely.
@@ -411,34 +411,34 @@ def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> H
         return None
     names, priors = problem.layout.index_in_phi, problem.priors
     shared = [(i, h.name) for i, h in enumerate(source.hypers) if priors.get(h.name) == h.prior]
-    rows, target = np.array([(i, names[n]) for i, n in shared], dtype=int).reshape(-1, 2).T
+    rows, columns = np.array([(i, names[n]) for i, n in shared], dtype=int).reshape(-1, 2).T
     count = len(names)
     v, curvature, is_exact = np.zeros(count), np.eye(count), np.zeros(count, dtype=bool)
-    v[target] = mode.v[rows]
-    curvature[np.ix_(target, target)] = np.linalg.inv(mode.covariance)[np.ix_(rows, rows)]
-    is_exact[target] = exact and not mode.indefinite and problem.noise == source.noise
+    v[columns] = mode.v[rows]
+    curvature[np.ix_(columns, columns)] = np.linalg.inv(mode.covariance)[np.ix_(rows, rows)]
+    is_exact[columns] = exact and not mode.indefinite and problem.noise == source.noise
     return HessianGuess(v, curvature, is_exact)
 
 
-def starting_points(
+def list_starts(
     problem: Problem, source: Problem, mode: Mode, starts: Sequence[Mapping[str, float]]
 ) -> list[Float[np.ndarray, "d"]]:
     """Return starting coordinates of φ: a source problem's mode, copies with given starts, and steps along shapes."""
-    base, others = dict[str, float](), dict[str, tuple[float, ...]]()
+    base, steps = dict[str, float](), dict[str, tuple[float, ...]]()
     for h in problem.hypers:
         # Shapes are tried to either side; a new spread or noise parameter below and above its scale.
         if (i := source.layout.index_in_phi.get(h.name)) is None:
             base[h.name] = 0.0
-            others[h.name] = (-1.5, 1.0) if h.kind in ("group_sd", "noise") else ()
+            steps[h.name] = (-1.5, 1.0) if h.kind in ("group_sd", "noise") else ()
         elif (prior := source.hypers[i].prior) == h.prior:
             v = base[h.name] = float(mode.v[i])
-            others[h.name] = (v - 1.0, v + 1.0) if h.kind == "shape" else ()
+            steps[h.name] = (v - 1.0, v + 1.0) if h.kind == "shape" else ()
         else:
             base[h.name] = float(h.prior.coordinate(prior.value(mode.v[i])))
-            others[h.name] = (0.0,) if h.kind == "shape" else ()
+            steps[h.name] = (0.0,) if h.kind == "shape" else ()
     known_starts = ({n: v for n, v in start.items() if n in base} for start in starts)
     points = [base, *({**base, **start} for start in known_starts)]
-    points += [{**base, name: v} for name, values in others.items() for v in values]
+    points += [{**base, name: v} for name, values in steps.items() for v in values]
     return [np.array([*point.values()]) for point in points]
 
 
@@ -460,12 +460,12 @@ def average_over_scales(
         effects: its effects with a prior scale.
         coarse_below: log density below which no new mode is found for other scales.
     """
-    initial = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in effects}
-    if (scales := ScaleEvidence.from_mode(problem, mode, initial)) is None:
+    initial_factors = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in effects}
+    if (scales := ScaleEvidence.from_mode(problem, mode, initial_factors)) is None:
         return problem, mode, -math.inf
     factors = scales.most_probable_factors()
     is_coarse = mode.log_density + scales.evidence_change(factors) < coarse_below
-    if factors != initial and not is_coarse:
+    if factors != initial_factors and not is_coarse:
         problem = Problem(problem.layout, problem.record, factors)
         curvature = map_hessian(problem, problem, mode, True)
         mode = find_mode(problem, [mode.v], mode.x, XTOL_SD, guess=curvature)
@@ -522,8 +522,8 @@ class ScaleEvidence(NamedTuple):
         delta = 1 / ratio**2 - 1
         inner = np.eye(len(delta)) + delta[:, None] * self.covariance
         squares = self.mean @ np.linalg.solve(inner, delta * self.mean)
-        volume = float(np.linalg.slogdet(inner)[1])
-        return -float(np.sum(np.log(ratio))) - 0.5 * (volume + float(squares))
+        log_det = float(np.linalg.slogdet(inner)[1])
+        return -float(np.sum(np.log(ratio))) - 0.5 * (log_det + float(squares))
 
     def changes_along(self, name: str, factors: Mapping[str, float]) -> dict[float, float]:
         """Return the change of log evidence plus log prior for each scale factor of an effect, other effects fixed."""

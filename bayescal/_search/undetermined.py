@@ -57,7 +57,7 @@ class AddedPose:
 
 @dataclass(frozen=True, repr=False)
 class Undetermined(Printed):
-    """Combinations of coefficients that planned readings do not determine, and poses to add."""
+    """Combinations of coefficients that planned readings do not determine, and poses to add; printed as text."""
 
     readings: int  # number of readings; of poses, for an instrument of three axes
     combinations: tuple[str, ...]  # combinations of coefficients, a sentence each
@@ -97,12 +97,12 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     layout, levels = bind(model, readings)
     reference = reference_of(readings)
 
-    def linear(rows: Measurements) -> LinearModel:
+    def linearise(rows: Measurements) -> LinearModel:
         frame = build_frame(rows, reference, levels, readings)
         record = Record(model.instrument, frame, np.asarray(rows["output"]))
         return linearise_at_priors(Problem(layout, record))
 
-    planned_model, vector = linear(readings), model.instrument.vector
+    planned_model, vector = linearise(readings), model.instrument.vector
     is_log = readings.has(TURNED[0])  # a log of moves: it needs further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not is_log else 1)
     directions = find_null_vectors(planned_model, include_exact=False)[1] if layout.size else []
@@ -112,10 +112,10 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         return Undetermined(count, combinations)
     poses, rows = _list_poses(model, vector, readings)
     basis = np.linalg.qr(np.array(directions).T)[0]
-    columns = linear(rows).white_nuisance[:, : len(basis)] @ basis
+    columns = linearise(rows).white_nuisance[:, : len(basis)] @ basis
     effort = [sum(d != 0 for d in p.direction) for p in poses]
-    chosen, left_count = _choose_poses(columns.reshape(len(poses), -1, basis.shape[1]), effort)
-    return Undetermined(count, combinations, tuple(poses[i] for i in chosen), left_count)
+    indices, left_count = _choose_poses(columns.reshape(len(poses), -1, basis.shape[1]), effort)
+    return Undetermined(count, combinations, tuple(poses[i] for i in indices), left_count)
 
 
 def _list_poses(
@@ -126,27 +126,27 @@ def _list_poses(
     if any("temperature" in effect.columns for effect in model.effects):
         low, high = float(readings["temperature"].min()), float(readings["temperature"].max())
         ends = [low, high if high > low else low + TEMPERATURE_STEP]
-    per_pose, template_row, rate = 1, 0, None
+    rows_per_pose, template_row, rate = 1, 0, None
     if vector.acting is not None:
-        per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or DEFAULT_RATE
+        rows_per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or DEFAULT_RATE
     elif readings.has(ACROSS[0]):  # a magnitude: the direction is unknown
         template_row = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
     poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in ends for d in DIRECTIONS.tolist()]
-    units = np.array([p.direction for p in poses])
-    units = units / np.linalg.norm(units, axis=1)[:, None]
+    unit_vectors = np.array([p.direction for p in poses])
+    unit_vectors = unit_vectors / np.linalg.norm(unit_vectors, axis=1)[:, None]
     columns: dict[str, Any] = {}
     if ends[0] is not None:
         columns["temperature"] = np.array([p.temperature for p in poses])
     if rate is not None:
         columns |= {RATE: np.full(len(poses), rate)}
-        columns |= {name: units[:, i] for i, name in enumerate(DIRECTION)}
+        columns |= {name: unit_vectors[:, i] for i, name in enumerate(DIRECTION)}
     else:
         size = float(magnitude(readings)[0])
         columns |= {"output": np.full(len(poses), size)}
-        columns |= {name: size * units[:, i] for i, name in enumerate(vector.outputs)}
-    rows = readings.select(np.tile(template_row + np.arange(per_pose), len(poses)))
+        columns |= {name: size * unit_vectors[:, i] for i, name in enumerate(vector.outputs)}
+    rows = readings.select(np.tile(template_row + np.arange(rows_per_pose), len(poses)))
     for name, values in columns.items():
-        rows = rows.with_column(name, np.repeat(values, per_pose))
+        rows = rows.with_column(name, np.repeat(values, rows_per_pose))
     return poses, rows
 
 
@@ -166,8 +166,8 @@ def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tup
         log_volumes[chosen_indices] = 0.0
         if not log_volumes.max() > np.log1p(DETERMINED_INFORMATION):
             return chosen_indices, open_columns.shape[2]
-        near_best = np.flatnonzero(
+        candidates = np.flatnonzero(
             log_volumes > MIN_SHARE_OF_BEST_REDUCTION * log_volumes.max()
         ).tolist()
-        chosen_indices.append(min(near_best, key=lambda i: (effort[i], i)))
+        chosen_indices.append(min(candidates, key=lambda i: (effort[i], i)))
         information = information + columns[chosen_indices[-1]].T @ columns[chosen_indices[-1]]

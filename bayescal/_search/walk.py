@@ -23,8 +23,8 @@ from bayescal._search.structures import LAW_WINDOW_NATS, EvaluatedStructure, Str
 # Most probable structures whose neighbours are evaluated; 4 find what enumeration finds (tests/search).
 BEAM_STRUCTURES = 4
 # Neighbours of each structure of the beam that are fitted, at least and at most.
-FITTED_NEIGHBOURS = (2, 10)
-FITTED_PAIRS = 4  # pairs of effects among them, for effects that show only together
+NEIGHBOUR_COUNTS = (2, 10)
+MAX_FITTED_PAIRS = 4  # pairs of effects among them, for effects that show only together
 
 FORM_NATS = 3.0  # change of log posterior on block means that decides whether a form is fitted
 LAWS_OF_REDUCED = 2  # finer noise laws evaluated without one of the best structure's effects
@@ -33,7 +33,7 @@ Evaluations = Generator[EvaluatedStructure, None, None]
 
 OUT_OF_TIME = "The search was ended early, after {:.0f} s, with the best structure so far."
 STOPPED = "The search was interrupted after {:.0f} s with the best structure so far."
-NOT_BEGUN = "There was no time to search ({}): only the first structure was evaluated."
+NOT_BEGUN_TEXT = "There was no time to search ({}): only the first structure was evaluated."
 
 
 @run_on_one_thread
@@ -47,7 +47,7 @@ def explore(
 
     The structure without added effects is evaluated in any case; `follow` is called once a second, and at the end.
     """
-    started, last_call, structures, reason = time.monotonic(), 0.0, library.structures, ""
+    started, last_time, structures, reason = time.monotonic(), 0.0, library.structures, ""
     limit = deadline.current()
     with deadline.suspend():
         structures.evaluate(Structure())
@@ -56,14 +56,14 @@ def explore(
         with track("looking for missing effects"):
             limit.raise_if_over()
             for _ in beam_search(library, max_effects, start):
-                if time.monotonic() > last_call + FOLLOW_SECONDS:
+                if time.monotonic() > last_time + FOLLOW_SECONDS:
                     follow()
-                    last_call = time.monotonic()
+                    last_time = time.monotonic()
                 limit.raise_if_over()
     except deadline.TimeIsUp as stop:
         reason = (STOPPED if limit.interrupted else OUT_OF_TIME).format(time.monotonic() - started)
         if len(structures.visited) == 1:
-            reason = NOT_BEGUN.format(stop)
+            reason = NOT_BEGUN_TEXT.format(stop)
         if limit.interrupted:
             notify("interrupted: fitting the best model so far; Ctrl-C again ends without a result")
     follow()
@@ -87,11 +87,11 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
     named_effects = frozenset(n for n, e in candidates if not (e.is_placeholder and e.unnamed))
     named_scope = Scope(max_effects, named_effects, ("",))
     full_scope = Scope(max_effects, frozenset(structures.candidates))
-    expanded: dict[Scope, set[Structure]] = {named_scope: set(), full_scope: set()}
+    expanded_by_scope: dict[Scope, set[Structure]] = {named_scope: set(), full_scope: set()}
     make_scorer = lru_cache(BEAM_STRUCTURES)(partial(Scorer, library))  # shared by both scopes
     for scope, final_start in ((named_scope, None), (full_scope, None), (full_scope, start)):
         # Under a correlated law the base shows an effect that slow residuals would otherwise hide.
-        for noise in () if scope is named_scope else correlated_laws(structures):
+        for noise in () if scope is named_scope else list_correlated(structures):
             yield structures.evaluate(Structure(noise=noise), start_fit)
         if final_start:
             # Add the effects one by one: fitted all at once, their shapes may end at a lower maximum.
@@ -99,14 +99,14 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
         # `_select_next` sorts anew each time. Finer forms and laws come last: they would fit what is still missing.
         while True:
             count = len(structures.visited)
-            if current := _select_next(structures, expanded[scope], scope):
+            if current := _select_next(structures, expanded_by_scope[scope], scope):
                 structure = current.structure
-                previous = [*expanded[scope]] if structures.near_best_only else []
-                expanded[scope].add(structure)
+                previous = [*expanded_by_scope[scope]] if structures.near_best_only else []
+                expanded_by_scope[scope].add(structure)
                 families, noise = structures.families(structure.effects), structure.noise
-                same_law = (s for s in previous if s.noise == noise)
-                if matches := [s for s in same_law if structures.families(s.effects) == families]:
-                    yield from _repeat_move(structures, current, matches[0])
+                others = (s for s in previous if s.noise == noise)
+                if similar := [s for s in others if structures.families(s.effects) == families]:
+                    yield from _repeat_move(structures, current, similar[0])
                 else:
                     yield from _evaluate_neighbours(library, current, scope, make_scorer)
                 continue
@@ -133,8 +133,8 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
         if current == goal:
             return steps
         names, log_posteriors = sorted(goal.effects - current.effects), dict[Structure, float]()
-        has_scores = names and math.isfinite(fit.log_posterior)
-        reduced = Scorer(library, fit).reduced_model() if has_scores else None
+        is_scored = names and math.isfinite(fit.log_posterior)
+        reduced = Scorer(library, fit).reduced_model() if is_scored else None
         for name in names:
             neighbour = current.with_effects(name)
             if reduced is None or neighbour in structures.visited or name not in library.points:
@@ -199,24 +199,24 @@ def _evaluate_neighbours(
     """Evaluate the neighbours of a structure that may be nearly as probable as the best; store the others' scores."""
     structures, structure = library.structures, fit.structure
     # Evaluate the same effects under each law: else the search would have to find them anew under each.
-    for law in filter(scope.has_law, ("", *correlated_laws(structures))):
+    for law in filter(scope.has_law, ("", *list_correlated(structures))):
         neighbour = structure.with_noise(law)
         neighbour = neighbour.without_effects(*structures.excluded_candidates(neighbour))
         if _needs_fit(structures, neighbour, fit):
             yield structures.evaluate(neighbour, fit)
     if not math.isfinite(fit.log_posterior):
         return
-    all_laws = scope.laws is None
-    if all_laws:
+    has_all_laws = scope.laws is None
+    if has_all_laws:
         yield from _try_forms(structures, fit)
-    proposed = _propose_noise_laws(structures, fit)
-    noise_moves = [move for move in proposed if scope.has_law(move.structure.noise)]
+    law_moves = _propose_noise_laws(structures, fit)
+    noise_moves = [move for move in law_moves if scope.has_law(move.structure.noise)]
     moves = [*_propose_moves(make_scorer(fit), scope)]
     # Without a column's correction all that depends on the column shifts: substitutes are scored beside such a fit.
     for name in sorted(filter(structures.corrects_column, structure.effects)):
-        yield (reduced := structures.evaluate(structure.without_effects(name), fit))
-        if math.isfinite(reduced.log_posterior):
-            moves += _propose_moves(Scorer(library, reduced), scope)
+        yield (reduced_fit := structures.evaluate(structure.without_effects(name), fit))
+        if math.isfinite(reduced_fit.log_posterior):
+            moves += _propose_moves(Scorer(library, reduced_fit), scope)
     # Candidates without a score are evaluated by a fit.
     if len(structure.effects) < scope.max_effects:
         candidates = scope.effects.intersection(structures.candidates_for(structure))
@@ -231,12 +231,12 @@ def _evaluate_neighbours(
     moves += [move for move in noise_moves if move.log_posterior > min_log_posterior]
     # The first ones are fitted whatever their scores, which are too low where noise and shapes lack an effect.
     moves.sort(key=lambda move: -move.log_posterior)
-    for i, move in enumerate(moves[: FITTED_NEIGHBOURS[1]]):
+    for i, move in enumerate(moves[: NEIGHBOUR_COUNTS[1]]):
         is_near = structures.is_in_window(move.log_posterior, structures.window_nats)
-        is_near = is_near or i < FITTED_NEIGHBOURS[0]
+        is_near = is_near or i < NEIGHBOUR_COUNTS[0]
         if is_near and _needs_fit(structures, move.structure, fit):
             yield (neighbour_fit := structures.evaluate(move.structure, fit, move.starts))
-            if all_laws:
+            if has_all_laws:
                 yield from _try_forms(structures, neighbour_fit)
     # Correlated noise may take up what a dropped effect explained; a score, which holds the noise, cannot tell.
     if fit is structures.best and not structures.noise_law(structure).independent:
@@ -274,12 +274,12 @@ def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStruc
 
 def _find_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
     """Return the change of log posterior by the same move with other forms of the effects; None if not evaluated."""
-    added, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
+    added_names, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
     own_families = structures.families(current.effects)
-    adds_form = added and structures.families(neighbour.effects) == own_families
-    for s, change in _list_changes(structures, removed, added, neighbour.noise):
+    is_form_change = added_names and structures.families(neighbour.effects) == own_families
+    for s, change in _list_changes(structures, removed, added_names, neighbour.noise):
         families = structures.families(s.effects)
-        is_similar = families == own_families or (adds_form and families < own_families)
+        is_similar = families == own_families or (is_form_change and families < own_families)
         if s.noise == current.noise and is_similar:
             return change
     return None
@@ -299,12 +299,12 @@ def _list_changes(
 
 
 def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structure) -> Evaluations:
-    """Repeat those moves from `other`, the same effects in other forms, that led to nearly the best log posterior."""
-    effects, others = fit.structure.effects, other.effects
+    """Evaluate a structure's neighbours by the moves that succeeded from `other`, the same effects in other forms."""
+    effects, other_effects = fit.structure.effects, other.effects
     for s, known_fit in [*structures.visited.items()]:
         is_near = structures.is_in_window(known_fit.log_posterior, structures.window_nats)
-        if is_near and others - effects <= s.effects and len(s.effects ^ others) == 1:
-            changed_effects = s.effects - (others - effects) | (effects - others)
+        if is_near and other_effects - effects <= s.effects and len(s.effects ^ other_effects) == 1:
+            changed_effects = s.effects - (other_effects - effects) | (effects - other_effects)
             yield structures.evaluate(Structure(changed_effects, s.noise), fit)
 
 
@@ -319,7 +319,7 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
     window = structures.window_nats if structures.near_best_only else LAW_WINDOW_NATS
     if not structures.is_in_window(fit.log_posterior, window):
         return
-    independent, means = structures.noise_law(structure).independent, structures.on_means
+    is_independent, means = structures.noise_law(structure).independent, structures.on_means
     # By means a form that gains is fitted at once, one that is near the best in the `last` pass.
     window = () if means is None else (FORM_NATS if last else -FORM_NATS,)
     for name in sorted(structure.effects):
@@ -329,7 +329,7 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
             if not structures.corrects_column(form) or (len(shapes) > 1 and not last):
                 continue
             pairs = () if last else _list_changes(means or structures, frozenset({name}), added)
-            changes = [c for s, c in pairs if structures.noise_law(s).independent == independent]
+            changes = [c for s, c in pairs if structures.noise_law(s).independent == is_independent]
             change = max(changes) if changes else structures.change_on_means(neighbour, fit)
             expected_log_posterior = fit.log_posterior + change
             if neighbour not in structures.visited and not structures.is_in_window(
@@ -344,7 +344,7 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
                 yield structures.evaluate(neighbour, fit, [start])
 
 
-def correlated_laws(structures: Structures) -> list[str]:
+def list_correlated(structures: Structures) -> list[str]:
     """Return the names of further correlated noise laws, which have no score."""
     return [n for n, law in structures.noise_laws.items() if not (law.independent or law.refines)]
 
@@ -360,34 +360,34 @@ def _evaluate_finer(structures: Structures) -> Generator[EvaluatedStructure, Non
     plain = Structure(noise=best.structure.noise)
     reduced = {*map(best.structure.without_effects, best.structure.effects)} - {plain}
     likely_laws = [move.structure.noise for move in moves[:LAWS_OF_REDUCED]]
-    for smaller in (plain, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
-        fit = structures.visited.get(smaller)
+    for subset in (plain, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
+        fit = structures.visited.get(subset)
         if fit is not None and fit is not best:
-            proposed = _propose_finer(structures, fit, None if smaller == plain else likely_laws)
-            pairs += [(m, fit) for m in proposed if structures.is_in_window(m.log_posterior)]
+            finer_moves = _propose_finer(structures, fit, None if subset == plain else likely_laws)
+            pairs += [(m, fit) for m in finer_moves if structures.is_in_window(m.log_posterior)]
     for move in (*moves, *(move for move, _ in pairs)):
         structures.store_score(move.structure, move.log_posterior)
     pairs = [(move, fit) for move, fit in pairs if move.structure not in structures.visited]
-    for move, fit in sorted(pairs, key=lambda c: -c[0].log_posterior)[: FITTED_NEIGHBOURS[1]]:
+    for move, fit in sorted(pairs, key=lambda c: -c[0].log_posterior)[: NEIGHBOUR_COUNTS[1]]:
         yield structures.evaluate(move.structure, fit, move.starts)
     return bool(pairs)
 
 
 def _propose_finer(
-    structures: Structures, fit: EvaluatedStructure, allowed: Sequence[str] | None = None
+    structures: Structures, fit: EvaluatedStructure, allowed_laws: Sequence[str] | None = None
 ) -> Iterator[Move]:
     """Yield finer forms of a structure's correlated law, scored by the change of log evidence on its residuals.
 
-    No law is yielded if uncorrelated noise is at least as probable; if `allowed` is given, only these laws are.
+    No law is yielded if uncorrelated noise is at least as probable; if `allowed_laws` is given, only these laws are.
     """
     structure, laws = fit.structure, structures.noise_laws
-    current = structures.noise_law(structure)
+    current_law = structures.noise_law(structure)
     plain_fit = structures.visited.get(structure.with_noise(""))
-    family = current.refines or current.name
-    finer_names = [n for n, law in laws.items() if law.refines == family and n != current.name]
-    finer_names = [n for n in finer_names if allowed is None or n in allowed]
+    family = current_law.refines or current_law.name
+    finer_names = [n for n, law in laws.items() if law.refines == family and n != current_law.name]
+    finer_names = [n for n in finer_names if allowed_laws is None or n in allowed_laws]
     is_correlated = plain_fit is None or fit.log_posterior > plain_fit.log_posterior
-    is_correlated = is_correlated and not current.independent
+    is_correlated = is_correlated and not current_law.independent
     if not (is_correlated and finer_names and math.isfinite(fit.log_posterior)):
         return
     # Evidence of both laws on the residuals alone: the coefficients' posterior volumes are nearly equal.
@@ -395,7 +395,7 @@ def _propose_finer(
     for name in finer_names:
         law_fit = structures.fit_law(fit, name)
         change = law_fit.log_evidence - evidence.log_evidence
-        change += log_prior(laws, name) - log_prior(laws, current.name)
+        change += log_prior(laws, name) - log_prior(laws, current_law.name)
         yield Move(structure.with_noise(name), fit.log_posterior + change, (law_fit.start,))
 
 
@@ -428,18 +428,18 @@ def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
             yield _make_addition(structure.with_effects(name), total + log_odds[name], points)
         if free_slots > 1:
             named = {n: p for n, p in scores.items() if not structures.candidates[n].is_placeholder}
-            for factor, a, b in reduced.score_pairs(named)[:FITTED_PAIRS]:
+            for factor, a, b in reduced.score_pairs(named)[:MAX_FITTED_PAIRS]:
                 pair_total = total + factor + log_odds[a.name] + log_odds[b.name]
                 pair, start = structure.with_effects(a.name, b.name), {**a.start, **b.start}
                 yield Move(pair, pair_total, (start,))
     # Drops and swaps begin at the model without the effect; a drop has no log determinant of new columns.
     for name in sorted(n for n in structure.effects if n in scorer.library.points):
-        smaller, reduced = structure.without_effects(name), scorer.reduced_model(name)
-        yield Move(smaller, total + reduced.drop_log_bayes_factor - log_odds[name])
-        others = set(structures.candidates_for(smaller)) - {name}
+        subset, reduced = structure.without_effects(name), scorer.reduced_model(name)
+        yield Move(subset, total + reduced.drop_log_bayes_factor - log_odds[name])
+        others = set(structures.candidates_for(subset)) - {name}
         for other, points in reduced.score_candidates([n for n in names if n in others]).items():
-            swapped = smaller.with_effects(other)
-            yield _make_addition(swapped, total + log_odds[other] - log_odds[name], points)
+            swap = subset.with_effects(other)
+            yield _make_addition(swap, total + log_odds[other] - log_odds[name], points)
 
 
 def _make_addition(structure: Structure, log_posterior: float, points: list[ScoredPoint]) -> Move:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import bayescal as bc
 from bayescal._model.frame import reference_of
 from bayescal._search.discover import enumerate_structures
-from bayescal._search.equivalence import find_equivalents, separating_experiments
+from bayescal._search.equivalence import find_equivalents, find_experiments
 from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
 from benchmarks.pages import table
 from benchmarks.record import DOCS
@@ -48,7 +48,7 @@ def _rows(name: str) -> list[list[str]]:
     readings = instrument.simulate(seed=SEED)
     model: bc.Model = instrument.for_readings(readings).baseline()
     structures, _ = enumerate_structures(model, readings, reference_of(readings))
-    tests, rows = separating_experiments(structures), []
+    tests, rows = find_experiments(structures), []
     for equivalent in find_equivalents(structures.spans):
         first, *others = (f"`{n}`" for n in equivalent.effects)
         text = " + ".join(others) or ", ".join(f"`{n}` (in)" for n in equivalent.coefficients)

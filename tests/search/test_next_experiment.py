@@ -7,7 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.inside import CampaignPrediction, divergence
+from tests.support.inside import CampaignPrediction, compute_divergence
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 RIVALS = ("bias.thermal_lag", "bias.reference_voltage")
@@ -38,8 +38,8 @@ def test_the_divergence_is_that_of_two_normals() -> None:
 
     ratio = log_density(one) - log_density(other)
     error = ratio.std() / np.sqrt(ratio.size)
-    assert abs(divergence(one, other) - ratio.mean()) < 5 * error
-    assert divergence(one, one) == pytest.approx(0, abs=1e-9)
+    assert abs(compute_divergence(one, other) - ratio.mean()) < 5 * error
+    assert compute_divergence(one, one) == pytest.approx(0, abs=1e-9)
 
 
 def test_more_runs_tell_more_than_the_same_again(line: bc.Calibration) -> None:

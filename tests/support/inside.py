@@ -51,7 +51,7 @@ from bayescal._model.vector import invert_equation as invert_equation
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._search.next_experiment import CampaignPrediction as CampaignPrediction
-from bayescal._search.next_experiment import divergence as divergence
+from bayescal._search.next_experiment import compute_divergence as compute_divergence
 from bayescal._search.noise_laws import fit_to_residuals as fit_to_residuals
 from bayescal._search.replaced_terms import find_replaced_terms as find_replaced_terms
 from bayescal._tables.mapping_file import load_mapping as load_mapping

@@ -181,7 +181,7 @@ class Session:
                     f"{self.folder} has a session of other readings, {calibration.readings.file}: give another folder "
                     "(--out), or remove it"
                 )
-            step = ws.step_of(calibration, self.holdout, self.settings.accept_conflicts)
+            step = ws.check_step(calibration, self.holdout, self.settings.accept_conflicts)
             step = replace(step, added=entry.added, description=entry.description)
             self._states[n] = State(n, entry.parent, step)
             formulas = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
@@ -235,7 +235,7 @@ class Session:
                 return Change(model.free(name), description=f"{name} freed")
             case ("noise", str(name)):
                 first = self.states[0].calibration
-                laws = ws.laws_over(first.model, first.frame)  # that the readings identify
+                laws = ws.list_laws(first.model, first.frame)  # that the readings identify
                 law = {first.model.noise.name: first.model.noise, **laws}[name]
                 return Change(model.with_noise(law), description=f"noise: {law.in_words}")
             case ("fix", str(name), value):
