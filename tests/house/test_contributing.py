@@ -78,7 +78,7 @@ def test_the_format_holds_the_covariance() -> None:
     try:
         rows = list(csv.reader(space["as_text"](program, "csv").splitlines()))
     finally:
-        del space["SINGLE_OUTPUT"].suffixes[".csv"], space["ONE_OUTPUT"].writers["csv"]
+        del space["SINGLE_OUTPUT"].suffixes[".csv"], space["SINGLE_OUTPUT"].writers["csv"]
     assert rows[0][3:] == [row[0] for row in rows[1:]]
     covariance = np.array([row[3:] for row in rows[1:]], dtype=float)
     np.testing.assert_array_equal(covariance, program.covariance)
