@@ -240,7 +240,9 @@ def find_null_vectors(
     single, share = is_single_coefficient(layout), limit("direction.none", "share")
     is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
-    exact = null_space.find_null_rows(whitened) if include_exact else np.zeros((0, whitened.shape[1]))
+    exact = (
+        null_space.find_null_rows(whitened) if include_exact else np.zeros((0, whitened.shape[1]))
+    )
     weak = null_space.find_weak_rows(whitened, exact, WEAK_INFORMATION, share)
     directions_by_kind: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):

@@ -138,7 +138,7 @@ def add_latent_effects(
     unknowns shifted by their regression on them; effects of one span have wide priors, since their sizes are unknown.
     """
     latent_names = structures.latent_effects(structure)
-    find_spanning = structures.spans.find_spanning(structure.effects)
+    spanning = structures.spans.find_spanning(structure.effects)
     if not latent_names:
         return last, in_use
     names = [n for n in structures.candidates if n in latent_names | spanning]
