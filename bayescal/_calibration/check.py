@@ -171,11 +171,10 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
             f"the rms is {check.rms / check.noise:.1f} times that",
             "",
         ]
-    lines += [tabulate_check(rows), Z_NOTE] if rows else ["no covariate varies"]
     limit = settings().strong_evidence
-    names = ", ".join(e.covariate for e in check.entries if e.log_bayes_factor > limit) or "none"
-    count_text = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
-    lines.append(wrap(f"log Bayes factor (natural log) above {limit:g}{count_text}: {names}"))
+    lines += [tabulate_check(rows), Z_NOTE.format(limit)] if rows else ["no covariate varies"]
+    if others := [e.covariate for e in check.entries[len(rows) :] if e.log_bayes_factor > limit]:
+        lines.append(wrap(f"also strong: {', '.join(others)}"))
     max_log_factor = max(limit, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.covariates)} together: not additive (log Bayes factor {p.log_bayes_factor:.1f})"
@@ -183,14 +182,14 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
         if p.log_bayes_factor > max_log_factor
     ]
     if max_rows is None:
-        coefficient, z = check.autocorrelation
-        lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+        text = "neighbours in time: correlation {:.2f} (z = {:.1f})"
+        lines.append(text.format(*check.autocorrelation))
         test_text = f"p = {check.pit_p:.2g}, leave-one-out probability integral transform"
         lines.append(f"noise law: {test_text}; excess kurtosis {check.excess_kurtosis:.2g}")
     lines += [f"scatter changes with {n} (p = {p:.1g})" for n, p in check.scatter_with.items()]
     if check.outliers:
         outlier_text = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
-        lines.append(f"outliers: {outlier_text}{' …' if len(check.outliers) > 5 else ''}")
+        lines.append(f"outliers, used in the fit: {outlier_text}{' …' * (len(check.outliers) > 5)}")
     if check.one_sided < SIGNIFICANCE_LEVEL:
         lines.append(f"the largest residuals have mostly one sign (p = {check.one_sided:.1g})")
     return lines

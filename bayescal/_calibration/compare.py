@@ -203,8 +203,7 @@ def _warn(rows: list[ComparisonRow], rule: str, groups: LeaveOneGroupOut | None)
         difference = (best.log_evidence or 0.0) - (runner_up.log_evidence or 0.0)
         if difference < settings().strong_evidence:
             yield undecided_claim(gap=f"{difference:.1f}", measure=rule)
-        best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
-        if best_by_groups is not best:
+        if (best_by_groups := max(rows, key=lambda r: r.group_score or -np.inf)) is not best:
             yield Claim("compare.other_first", best_by_groups.name)
     elif rule == GROUP_SCORE and runner_up.group_error:
         difference, error = -(runner_up.group_difference or 0.0), runner_up.group_error

@@ -769,11 +769,12 @@ def _summarise_figures(
     walk_draws = pool_draws("noise.walk")
     # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
     walk_bound = np.concatenate([noise.walk for noise in sums.noises])
+    no_flicker = "; no flicker resolved" * (pool_draws("noise.flicker") is None)
     rows = [
         ("Q", "quantisation noise", names.q_unit, f"{base}*s", pool_draws("noise.quantisation")),
         ("N", density, density_unit, f"{base}/Hz^0.5", white_density),
         ("B", f"{bias} (flicker)", bias_unit, base, pool_draws("noise.flicker")),
-        ("", f"{bias} (lowest of its law / 0.664)", bias_unit, base, floor_draws),
+        ("", f"{bias} (Allan minimum / 0.664{no_flicker})", bias_unit, base, floor_draws),
         ("K", walk, walk_unit, f"{base}/s^0.5", walk_bound if walk_draws is None else walk_draws),
         ("", "tone, rms", bias_unit, base, pool_draws("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", pool_draws("noise.tone.frequency")),

@@ -26,7 +26,7 @@ Direction = Float[np.ndarray, "p"]
 
 SKEWED_TEXT = "skewed: see interval"  # in place of value ± u
 CONTRACTION = "contraction: 1 − posterior variance/prior variance"
-PRIOR_SD_SUFFIX = "  (in prior standard deviations)"
+PRIOR_SD_SUFFIX = " (in prior standard deviations)"
 MAX_TERMS = 8  # printed terms of a linear combination
 NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
 MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
@@ -207,10 +207,9 @@ def find_unidentified(
         order = order or [int(np.argmax(np.abs(v)))]
         sign = float(np.sign(v[order[0]]))
         combination = _format_combination([(sign * round(float(v[i]), 2), names[i]) for i in order])
-        combination += PRIOR_SD_SUFFIX
         code = "direction.none" if len(order) == 1 else "direction.other"
         subjects = [names[i] for i in order]
-        claims.append(Claim(code, *subjects, combination=combination + IN_PRIOR_SDS))
+        claims.append(Claim(code, *subjects, combination=combination + PRIOR_SD_SUFFIX))
     if member_vectors:  # those of group deviations and unknown functions' coefficients
         largest, is_single = np.max(np.abs(member_vectors), axis=0), is_single_coefficient(layout)
         is_named = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()

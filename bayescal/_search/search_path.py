@@ -201,7 +201,10 @@ class SearchPath(Printed):
         note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
         lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
         lines += [NEW_RUN_NOTE] * differs_in_new_run(rows)
-        lines += [FLOOR_NOTE] * any(s["rmse_fitted"] < s["noise_floor"] for s in rows)
+        if rows[-1]["rmse_fitted"] < rows[-1]["noise_floor"]:
+            directions = self.final.calibration.linear.directions  # of each effective unknown
+            lines.append(FLOOR_NOTE.format(round((directions**2).sum()), len(directions)))
+        lines += [LAPLACE_NOTE] * any("least" in s.calibration.method for s in self.steps[:-1])
         shares = [(s.effects, s.probability) for s in self.shares]
         heads, texts = list_headings(self.complete), dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
@@ -216,8 +219,8 @@ class SearchPath(Printed):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """Return each step's table row (`Step.row`) with its number."""
-        steps = [step.row(previous) for previous, step in pairwise([None, *self.steps])]
-        return [{"number": i, **row} for i, row in enumerate(steps)]
+        steps = enumerate(pairwise([None, *self.steps]))
+        return [{"number": i, **step.row(previous)} for i, (previous, step) in steps]
 
     @property
     def added(self) -> dict[str, float | None]:

@@ -40,7 +40,7 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, is_new_member
 
 REMAINDER = "between-run sd, time constants, second-order terms"
-STRUCTURES_LABEL = "averaging over structures, not the most probable (rows above)"
+STRUCTURES_LABEL = "averaging over structures (rows above: the most probable one alone)"
 INADEQUACY_LABEL = "model inadequacy: u × f, f = {:.2f}, except new runs' deviations"
 SHARES_NOTE = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 MIN_PRINTED_SHARE = 5e-4  # smallest share of the variance that is printed
