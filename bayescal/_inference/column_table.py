@@ -38,11 +38,11 @@ class ColumnTable:
             self._numbers[key] = next(self._counter)
         return self._numbers[key]
 
-    def block(self, key: Any, make: Callable[[], Float[np.ndarray, "n w"]]) -> int:
-        """Return the number of a block; its columns are computed by `make` unless they are cached."""
+    def block(self, key: Any, compute_columns: Callable[[], Float[np.ndarray, "n w"]]) -> int:
+        """Return the number of a block; its columns are computed by `compute_columns` unless they are cached."""
         number = self.number(key)
         if number not in self._blocks:
-            self._blocks[number] = np.asfortranarray(make())
+            self._blocks[number] = np.asfortranarray(compute_columns())
             self._bytes += self._blocks[number].nbytes
         return number
 
@@ -55,9 +55,9 @@ class ColumnTable:
         self._blocks.pop(number, None)
         for products_by_block in self._products.values():
             if (block := products_by_block.pop(number, None)) is not None:
-                for other in block.products:
-                    if other in products_by_block:
-                        products_by_block[other].products.pop(number, None)
+                for other_number in block.products:
+                    if other_number in products_by_block:
+                        products_by_block[other_number].products.pop(number, None)
 
     def remove_fit(self, numbers: Sequence[int]) -> None:
         """Subtract a least-squares fit of the given blocks from the residual; only the first call has an effect."""

@@ -61,8 +61,8 @@ class Density(NumericDensity):
         """Return the density from cached inner products; None if readings must be processed at each φ."""
         problem = self.problem
         nodes = None
-        is_promoted = any(t.place == "phi" for t in problem.terms)
-        if not (problem.corrected_columns or problem.is_noisy or is_promoted):
+        has_promoted = any(t.place == "phi" for t in problem.terms)
+        if not (problem.corrected_columns or problem.is_noisy or has_promoted):
             nodes = problem.record.nodes(problem.noise)
         v = np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
         return None if nodes is None else TabulatedDensity(problem, nodes, self.x, v)
@@ -153,8 +153,8 @@ class Density(NumericDensity):
             rows_by_noise.setdefault(key, []).append(i)
         batch_size = max(1, MAX_FILTER_COLUMNS // (self.problem.size + 1))
         batches = list[list[int]]()
-        for members in sorted(rows_by_noise.values(), key=len):
-            batches += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
+        for rows in sorted(rows_by_noise.values(), key=len):
+            batches += [rows[k : k + batch_size] for k in range(0, len(rows), batch_size)]
         hyper_values, grams = self.problem.hyper_of_each(vs), dict[int, Gram]()
         lines = self._linearise_many(vs[[i for batch in batches for i in batch]])
         line, first_table = None, np.empty(0)
@@ -170,8 +170,8 @@ class Density(NumericDensity):
                     columns.append(table[:, j])
             table = first_table if len(batch) == 1 else np.column_stack(columns)
             products, logdet = self._get_whitening(line, hyper_values[batch[0]]).gram(table)
-            for i, members in zip(batch, column_sets, strict=True):
-                grams[i] = Gram.split(products[np.ix_(members, members)], logdet)
+            for i, rows in zip(batch, column_sets, strict=True):
+                grams[i] = Gram.split(products[np.ix_(rows, rows)], logdet)
         return [grams[i] for i in range(len(vs))]
 
     def _compute_laplace_grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
@@ -224,10 +224,10 @@ class Density(NumericDensity):
             retry, previous_value = np.arange(len(active)), value[active]
             for weights in (curvature, weight):
                 rows = active[retry]
-                hessian = products(rows, weights[retry]) * sd[retry, :, None] * sd[retry, None, :]
+                hessian = multiply(rows, weights[retry]) * sd[retry, :, None] * sd[retry, None, :]
                 # An indefinite Hessian has no Cholesky factor: NaN, so that the step is rejected.
                 chol = cholesky(hessian + np.diag(prior.weight))
-                step = solve_tri(chol, solve_tri(chol, gradient[retry]), upper=True)
+                step = solve_tri(chol, solve_tri(chol, gradient[retry]), is_upper=True)
                 trial = evaluate(rows, shift[rows] + sd[retry] * step)
                 is_better = trial[0] <= value[rows]
                 accepted_rows = rows[is_better]
@@ -240,7 +240,7 @@ class Density(NumericDensity):
             active = active[previous_value - value[active] > NEWTON_TOLERANCE_NATS]
         self._mode_of_x = x + shift[0]
         slope, curvature, _, z, logdet = likelihood_terms
-        jtj = products(np.arange(len(vs)), curvature)
+        jtj = multiply(np.arange(len(vs)), curvature)
         jtr = (jacobian.transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0]
         # Expand rtr − 2·jtrᵀ(δ − m) + (δ − m)ᵀ·jtj·(δ − m) in powers of δ = x − x̂: the Gram matrix at δ = 0.
         jtj_shift = (jtj @ shift[:, :, None])[:, :, 0]

@@ -147,8 +147,8 @@ class Polynomials:
     def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
         """Evaluate all t terms at b points (b, t), clipped to the region of the fit along the ray to its centre."""
         z = self._standardise(coordinates)
-        clipped = z / np.maximum(1.0, np.max(np.abs(z), axis=1))[:, None]
-        values = chebvander(clipped, self.degree)
+        clipped_z = z / np.maximum(1.0, np.max(np.abs(z), axis=1))[:, None]
+        values = chebvander(clipped_z, self.degree)
         return np.prod([values[:, j, self._powers[:, j]] for j in range(self.dim)], axis=0)
 
 
@@ -191,9 +191,9 @@ class Expansions:
     def get(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
         """Return an expansion valid at v, from the nearest box if possible; differentiable if `with_grad`."""
         with_grad = with_grad and self.dim > 0
-        nearest = min(self._boxes, key=lambda box: box.distance(v), default=None)
-        if nearest is not None and nearest.distance(v) <= 1:
-            return nearest
+        nearest_box = min(self._boxes, key=lambda box: box.distance(v), default=None)
+        if nearest_box is not None and nearest_box.distance(v) <= 1:
+            return nearest_box
         if with_grad and (box := self._fit_box(v)) is not None:
             self._boxes.append(box)
             return box

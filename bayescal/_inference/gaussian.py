@@ -156,7 +156,7 @@ def draw_x(
     indices = np.arange(len(origin))
     precision[:, indices, indices] += weight
     chol = cholesky(precision)
-    mean = solve_tri(chol, solve_tri(chol, rhs), upper=True)
+    mean = solve_tri(chol, solve_tri(chol, rhs), is_upper=True)
     displacement, z = offset + sd * mean, mean - prior_rhs
     jtj_displacement = np.einsum("bij,bj->bi", grams.jtj, displacement)
     squares = grams.rtr - np.sum(displacement * (2 * grams.jtr - jtj_displacement), axis=1)
@@ -165,7 +165,7 @@ def draw_x(
     half_logdet = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     volume = np.broadcast_to(prior.flat_volume, len(sd))
     log_marginal = volume - 0.5 * (size * LOG_2PI + grams.logdet + 2 * half_logdet + penalised_rss)
-    deviations = solve_tri(chol, deviates, upper=True)
+    deviations = solve_tri(chol, deviates, is_upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return XDraws(
         np.where(np.isfinite(log_marginal) & (penalised_rss > 0), log_marginal, -np.inf),
@@ -182,23 +182,23 @@ def cholesky(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p
     except np.linalg.LinAlgError:
         if matrices.ndim == 2:
             return np.full_like(matrices, np.nan)
-        return np.stack([cholesky(matrix) for matrix in matrices])
+        return np.stack([cholesky(block) for block in matrices])
 
 
 def solve_tri(
-    chol: Float[np.ndarray, "b p p"], rhs: Float[np.ndarray, "b p"], upper: bool = False
+    chol: Float[np.ndarray, "b p p"], rhs: Float[np.ndarray, "b p"], is_upper: bool = False
 ) -> Float[np.ndarray, "b p"]:
-    """Return the solutions z of L·z = rhs, or of Lᵀ·z = rhs if `upper`, for b lower triangular matrices L."""
+    """Return the solutions z of L·z = rhs, or of Lᵀ·z = rhs if `is_upper`, for b lower triangular matrices L."""
     z, order = np.empty_like(rhs), range(rhs.shape[1])
     if len(rhs) <= 2 * len(
         order
     ):  # one LAPACK call per φ is then faster; the transpose needs no copy
         for k in range(len(rhs)):
-            z[k] = dtrtrs(chol[k].T, rhs[k], lower=0, trans=0 if upper else 1)[0]
+            z[k] = dtrtrs(chol[k].T, rhs[k], lower=0, trans=0 if is_upper else 1)[0]
         return z
-    for i in reversed(order) if upper else order:
-        solved_rows = slice(i + 1, None) if upper else slice(i)
-        row = chol[:, solved_rows, i] if upper else chol[:, i, solved_rows]
+    for i in reversed(order) if is_upper else order:
+        solved_rows = slice(i + 1, None) if is_upper else slice(i)
+        row = chol[:, solved_rows, i] if is_upper else chol[:, i, solved_rows]
         z[:, i] = (rhs[:, i] - np.einsum("bj,bj->b", row, z[:, solved_rows])) / chol[:, i, i]
     return z
 

@@ -95,8 +95,8 @@ class HostColumns:
         basis: Basis,
         shapes: Mapping[str, Any],
         shifts: Mapping[str, Any],
-        batch: tuple[int, ...] = (),
+        batch_shape: tuple[int, ...] = (),
     ) -> Any:
         frame = self.frame.shift_columns(shifts)
         with np.errstate(all="ignore"):  # non-finite columns are refused by `Record.require_finite`
-            return basis.evaluate(frame, shapes, (*batch, *frame.order.shape[:-1]))
+            return basis.evaluate(frame, shapes, (*batch_shape, *frame.order.shape[:-1]))

@@ -162,14 +162,14 @@ def _maximise_marginal(
     for _ in range(MAX_ROUNDS):
         target = maximise(density, v, coarse_below, ftol)
         for _ in range(MAX_STEP_HALVINGS):
-            trial, trial_value = _relinearise(density, target, xtol)
+            trial_density, trial_value = _relinearise(density, target, xtol)
             if trial_value > value - min_increase:
                 break
             target = v + 0.3 * (target - v)
         else:
             break
         change = float(np.max(np.abs(target - v), initial=0.0))
-        v, density, value = target, trial, trial_value
+        v, density, value = target, trial_density, trial_value
         if change < xtol:
             break
     return _Peak(value, change, v, density.x, density)
@@ -236,21 +236,21 @@ def find_mode_of_x(
     for _ in range(50):
         if conditional is None:
             return x
-        target, fraction = conditional.mean, 1.0
+        target_x, fraction = conditional.mean, 1.0
         # Converged if a full Gauss–Newton step is below 0.1·xtol posterior standard deviations.
         sd = np.sqrt(np.diag(conditional.covariance)) + 1e-300
-        if np.max(np.abs((target - x) / sd), initial=0.0) < 0.1 * xtol:
+        if np.max(np.abs((target_x - x) / sd), initial=0.0) < 0.1 * xtol:
             return x
         variance = problem.extra(problem.linearise(x, hyper)) if problem.is_noisy else None
         for _ in range(MAX_STEP_HALVINGS):
-            trial = x + fraction * (target - x)
-            trial_squares, conditional = evaluate(trial, variance)
+            trial_x = x + fraction * (target_x - x)
+            trial_squares, conditional = evaluate(trial_x, variance)
             if trial_squares <= squares or not math.isfinite(squares):
                 break
             fraction *= 0.5
         else:
             return x
-        decrease, squares, x = squares - trial_squares, trial_squares, trial
+        decrease, squares, x = squares - trial_squares, trial_squares, trial_x
         if problem.is_noisy:
             squares, conditional = evaluate(x)
         elif fraction == 1.0 and decrease < xtol**2:

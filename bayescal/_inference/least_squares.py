@@ -138,9 +138,9 @@ class QR(NamedTuple):
 
 def qr(table: Float[np.ndarray, "m q1"]) -> QR:
     """Return the QR decomposition of a table [A r], residuals r in the last column."""
-    triangle, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
-    residual_norm = float(triangle[size, size]) if len(triangle) > size else 0.0
-    return QR(triangle[:size, :size], triangle[:size, size], residual_norm)
+    upper, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
+    residual_norm = float(upper[size, size]) if len(upper) > size else 0.0
+    return QR(upper[:size, :size], upper[:size, size], residual_norm)
 
 
 class Solution(NamedTuple):
@@ -162,7 +162,7 @@ class _Conditional(NamedTuple):
 
 @run_on_one_thread
 def refine(
-    problem: Problem, mode: Mode, full_hessian: bool, use_optimistix: bool = False
+    problem: Problem, mode: Mode, use_full_hessian: bool, use_optimistix: bool = False
 ) -> Solution:
     """Refine a mode: alternate least squares of (x, shapes) with restricted likelihood of the noise until convergence.
 
@@ -189,7 +189,7 @@ def refine(
     sd = np.sqrt(np.diag(covariance))
     step = np.max(np.abs(conditional.theta - theta) / sd, initial=0.0)
     converged = converged or bool(step < XTOL_SD)
-    if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
+    if (use_full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.compute_covariance(theta, v, conditional.root)
     return Solution(mode._replace(x=theta[: problem.size], v=v), covariance, converged)
 
@@ -231,14 +231,14 @@ class _Refinement:
         shape_jac = differentiate(
             lambda w: linearise_at(np.append(x, w)).mean, theta[size:], DIFF_STEP
         )
-        residual, extra = problem.record.y - line.mean, problem.extra(line)
+        residual, input_variance = problem.record.y - line.mean, problem.extra(line)
         table = np.column_stack([line.jacobian, *shape_jac, residual])
         if problem.is_noisy:
-            total = variance(problem.noise, problem.hyper(v), problem.record) + extra
+            total = variance(problem.noise, problem.hyper(v), problem.record) + input_variance
             steps = DIFF_STEP * self.prior(v).sd
             variance_grad = differentiate(lambda t: problem.extra(linearise_at(t)), theta, steps)
             table[:, :-1] += 0.5 * (residual / total)[:, None] * variance_grad.T
-        return table, extra
+        return table, input_variance
 
     def whiten(self, v: np.ndarray, extra: Any, residual: np.ndarray) -> Whitening | SdWhitening:
         problem = self.problem
@@ -252,8 +252,8 @@ class _Refinement:
         weight = np.diag(prior.weight)
 
         def evaluate(point: np.ndarray) -> tuple[float, QR]:
-            raw_table, extra = self.table(point, v)
-            whitening = self.whiten(v, extra, raw_table[:, -1])
+            raw_table, input_variance = self.table(point, v)
+            whitening = self.whiten(v, input_variance, raw_table[:, -1])
             table = whitening(raw_table)
             # The prior as pseudo-observations: for the step of z = (θ − m)/s, [A·S; W]·step = [r; −z].
             z = prior.weight * (point - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
@@ -308,13 +308,13 @@ class _Refinement:
 
     def make_conditioner(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Conditional]:
         """Return a function that maps v to the conditional posterior of θ for the model linearised at θ."""
-        table, extra = self.table(theta, v)
+        table, input_variance = self.table(theta, v)
         # Homoscedastic: the table is replaced by its R factor, and whitening divides by σ.
         is_homoscedastic, law = self.is_homoscedastic, self.problem.noise
         coordinate = law.variance_coordinate(self.problem.record.frame)
         reduced_table = np.triu(dgeqrf(table)[0][: table.shape[1]]) if is_homoscedastic else table
-        nans = np.full((theta.size, theta.size), np.nan)
-        undefined_result = _Conditional(np.full(theta.size, np.nan), nans, np.nan, np.nan)
+        nan_matrix = np.full((theta.size, theta.size), np.nan)
+        undefined_result = _Conditional(np.full(theta.size, np.nan), nan_matrix, np.nan, np.nan)
 
         def condition_at(v: np.ndarray) -> _Conditional:
             prior = self.prior(v)
@@ -324,10 +324,10 @@ class _Refinement:
                     return undefined_result
                 whitened = reduced_table / math.sqrt(variance)
             else:
-                whitened = self.whiten(v, extra, table[:, -1])(reduced_table)
+                whitened = self.whiten(v, input_variance, table[:, -1])(reduced_table)
             offset, prior_rhs = prior.offset_from(theta, np.sum(whitened[:, :-1] ** 2, axis=0))
-            a, r = whitened[:, :-1], whitened[:, -1]
-            scaled_table = np.column_stack([a * prior.sd, r - a @ offset])
+            jacobian, residual = whitened[:, :-1], whitened[:, -1]
+            scaled_table = np.column_stack([jacobian * prior.sd, residual - jacobian @ offset])
             rows = np.column_stack([np.diag(prior.weight), prior_rhs])
             qr_factor = qr(np.concatenate([scaled_table, rows]))
             if not qr_factor.is_full_rank:
@@ -379,8 +379,8 @@ class _Refinement:
 
         def compute_gradient(steps: np.ndarray) -> np.ndarray:
             point = theta + root @ steps
-            table, extra = self.table(point, v)
-            table = self.whiten(v, extra, table[:, -1])(table)
+            table, input_variance = self.table(point, v)
+            table = self.whiten(v, input_variance, table[:, -1])(table)
             return root.T @ (precision * (point - prior.mean) - table[:, :-1].T @ table[:, -1])
 
         # Differences in whitened coordinates: steps along single, strongly correlated coefficients would be too large.

@@ -37,8 +37,8 @@ GAUSS_NEWTON_STEPS = 4  # sufficient for an order of magnitude
 def find_amplitude(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
     """Return the estimate and standard uncertainty of an effect's amplitude or between-group sd; None if not in φ."""
     name = effect.measure_name or effect.group_sd_name(0)
-    is_learned = name in problem.layout.index_in_phi
-    return problem.value_and_sd(name, mode.v, mode.covariance) if is_learned else None
+    is_in_phi = name in problem.layout.index_in_phi
+    return problem.value_and_sd(name, mode.v, mode.covariance) if is_in_phi else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,8 +272,8 @@ def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Mod
                 "give its plausible amplitudes, low and high"
             )
     reduced_model = replace(model, effects=tuple(e for e in model.effects if not e.open))
-    limits = guess_amplitudes(reduced_model, readings, record)
-    effects = tuple(e.with_open_ranges(*limits) if e.open else e for e in model.effects)
+    amplitude_range = guess_amplitudes(reduced_model, readings, record)
+    effects = tuple(e.with_open_ranges(*amplitude_range) if e.open else e for e in model.effects)
     return replace(model, effects=effects)
 
 

@@ -84,13 +84,13 @@ class Marginal(Method):
             return finish(str(interrupt))
 
     def approximate(
-        self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
+        self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], reason: str
     ) -> Outcome:
-        """Return the Gaussian approximation about the mode; `why`: reason why sampling ended, for a note."""
+        """Return the Gaussian approximation about the mode; `reason`: reason why sampling ended, for a note."""
         outcome = LeastSquares(draws=self.draws).outcome(
             problem.layout, refine(problem, mode, False), seed
         )
-        notes = (*notes, SAMPLING_STOPPED.format(why), *outcome.verdict.notes)
+        notes = (*notes, SAMPLING_STOPPED.format(reason), *outcome.verdict.notes)
         return replace(outcome, verdict=replace(outcome.verdict, notes=notes))
 
     def _sample_until_reliable(
@@ -172,8 +172,8 @@ class _SmoothedDraws(NamedTuple):
 
 def _smooth_weights(draws: WeightedDraws, is_student_t: bool = False) -> _SmoothedDraws:
     weights, k_hat = smooth(draws.log_weight)
-    weights_of_phi, _ = smooth(draws.log_weight_phi)
+    phi_weights, _ = smooth(draws.log_weight_phi)
     correction = draws.log_weight - draws.log_weight_phi
-    limit = MAX_K_HAT if is_student_t else trust.select_k_hat(correction, weights_of_phi)
+    limit = MAX_K_HAT if is_student_t else trust.select_k_hat(correction, phi_weights)
     fault = trust.check_weights(weights, k_hat, limit=limit)
     return _SmoothedDraws(draws, weights, k_hat, limit, fault)

@@ -57,14 +57,14 @@ class Verdict:
         return " ".join(self.reasons if not self.ok else self.against)
 
     @classmethod
-    def read(cls, data: dict[str, Any]) -> Verdict:
+    def read(cls, fields_read: dict[str, Any]) -> Verdict:
         """Restore a verdict from its fields as read from JSON.
 
         Raises:
             KeyError: a field is missing.
         """
-        data = {"against": (), "checked": False, **data}
-        values = {f.name: data[f.name] for f in fields(cls)}
+        fields_read = {"against": (), "checked": False, **fields_read}
+        values = {f.name: fields_read[f.name] for f in fields(cls)}
         return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
     def __str__(self) -> str:

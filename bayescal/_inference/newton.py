@@ -105,15 +105,15 @@ def fit_gaussian(
     density: NumericDensity,
     v: Float[np.ndarray, "d"],
     is_group_sd: Bool[np.ndarray, "d"] | bool = False,
-    exact: bool = True,
+    use_exact: bool = True,
 ) -> GaussianFit:
     """Return the Laplace approximation of a density at its mode, with the log evidence (log marginal likelihood).
 
     is_group_sd: coordinates in which the density is flat towards zero, so that clipped eigenvalues along them do not
-    count as indefinite. exact: compute the Hessian; otherwise take the BFGS estimate of the maximisation.
+    count as indefinite. use_exact: compute the Hessian; otherwise take the BFGS estimate of the maximisation.
     Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
     """
-    model = density.evaluate(v, exact)
+    model = density.evaluate(v, use_exact)
     if model is None:  # the density is undefined within a difference step
         return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
     scale = np.broadcast_to(density.scale, v.shape)
@@ -194,10 +194,10 @@ class NumericDensity:
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curvatures: np.ndarray
     ) -> LocalModel | None:
         """Return the quadratic model at v by forward differences, with a given diagonal curvature."""
-        value, *forward = self.values(np.concatenate([v[None], v + np.diag(steps)]))
-        if not min(value, *forward) > NOWHERE:
+        value, *shifted_values = self.values(np.concatenate([v[None], v + np.diag(steps)]))
+        if not min(value, *shifted_values) > NOWHERE:
             return None
-        gradient = (np.array(forward) - value) / steps + 0.5 * steps * curvatures
+        gradient = (np.array(shifted_values) - value) / steps + 0.5 * steps * curvatures
         return LocalModel(value, gradient, np.diag(curvatures))
 
     def _expand_centrally(
@@ -214,8 +214,8 @@ class NumericDensity:
             (_, steps, (value, *values)), self._stencil, stencil = stencil, stencil, None
             if not value > NOWHERE:
                 return None
-            forward, backward = np.reshape(values, (2, len(v)))
-            diagonal = 2 * value - forward - backward
+            upper_values, lower_values = np.reshape(values, (2, len(v)))
+            diagonal = 2 * value - upper_values - lower_values
             # Shorten steps that are too long for the density's own width, and repeat.
             if np.any(is_long := diagonal > 4 * STEP_SD**2):
                 ratio = np.maximum(STEP_SD / np.sqrt(np.where(is_long, diagonal, 1.0)), MIN_FACTOR)
@@ -231,7 +231,7 @@ class NumericDensity:
                     continue
                 cross = 2 * value - values.reshape(2, -1).sum(axis=0)
                 hessian[i, j] = hessian[j, i] = 0.5 * (cross - diagonal[i] - diagonal[j])
-            gradient = 0.5 * (forward - backward) / steps
+            gradient = 0.5 * (upper_values - lower_values) / steps
             return LocalModel(value, gradient, hessian / np.outer(steps, steps))
         return None
 
@@ -252,19 +252,19 @@ class NumericDensity:
 
 def _update_bfgs(
     curvature: Float[np.ndarray, "d d"],
-    last: tuple[np.ndarray, LocalModel] | None,
+    latest: tuple[np.ndarray, LocalModel] | None,
     v: Float[np.ndarray, "d"],
-    model: LocalModel,
+    local_model: LocalModel,
     floor: Float[np.ndarray, "d"],
 ) -> Float[np.ndarray, "d d"]:
     """Update a curvature to v: rescale it to the new diagonal, then apply a BFGS update."""
-    old_diagonal, new_diag = np.diag(curvature), np.diag(model.curvature)
+    old_diagonal, new_diag = np.diag(curvature), np.diag(local_model.curvature)
     is_positive = (new_diag > floor) & (old_diagonal > 0)
     ratio = np.sqrt(np.where(is_positive, new_diag, 1.0) / np.where(is_positive, old_diagonal, 1.0))
     curvature = ratio[:, None] * curvature * ratio
-    if last is None:
+    if latest is None:
         return curvature
-    step, y = v - last[0], last[1].gradient - model.gradient
+    step, y = v - latest[0], latest[1].gradient - local_model.gradient
     bs = curvature @ step
     sy, sbs = float(step @ y), float(step @ bs)
     if not sy > 1e-12 or not sbs > 1e-12:

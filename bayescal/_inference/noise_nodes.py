@@ -62,8 +62,8 @@ class SingleNode:
 
     count = 1
 
-    def __init__(self, size: int, place: float | np.ndarray = math.nan) -> None:
-        self.size, self.nodes, self.rows = size, np.reshape(place, 1), np.array([size])
+    def __init__(self, size: int, node: float | np.ndarray = math.nan) -> None:
+        self.size, self.nodes, self.rows = size, np.reshape(node, 1), np.array([size])
 
     def transform(self, columns: Columns) -> list[Columns]:
         """Transform columns (n, k) orthonormally, so that the noise covariance is diagonal; one array per run."""
@@ -161,9 +161,9 @@ class DCTNodes(SingleNode):
                 if lagrange.shape[0] == lagrange.shape[1]:  # each frequency is a node
                     products[nodes.start : nodes.stop] += run_a[rows, :, None] * run_b[rows, None]
                     continue
-                count = max(1, MAX_ELEMENTS // run_a[rows].size)  # nodes side by side
-                for c in range(0, len(nodes), count):
-                    weights = lagrange[:, c : c + count].T
+                batch_size = max(1, MAX_ELEMENTS // run_a[rows].size)  # nodes side by side
+                for c in range(0, len(nodes), batch_size):
+                    weights = lagrange[:, c : c + batch_size].T
                     weighted = (weights[:, None] * run_a[rows].T).reshape(-1, len(lagrange))
                     part = (weighted @ run_b[rows]).reshape(len(weights), run_a.shape[1], -1)
                     products[nodes[c] : nodes[c] + len(weights)] += part
@@ -207,7 +207,7 @@ class DCTNodes(SingleNode):
         A run's Σ⁻¹ is E·(I + V·K·Vᵀ)·E with E = D^(−½); I + V·K·Vᵀ, of few columns V, has a root of the same form.
         """
         parameters = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
-        weights, roots, parts = self.weights(law, values), dict[int, Any](), []
+        weights, roots, whitened_runs = self.weights(law, values), dict[int, Any](), []
         for run in self.runs:
             n = len(run)
             if n not in roots:
@@ -215,14 +215,14 @@ class DCTNodes(SingleNode):
                 scale = 1 / np.sqrt(parameters[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
                 u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
                 ends = np.concatenate([scale * u * transform_end(n, sign) for sign in SIGNS])
-                base, r = np.linalg.qr(ends.T)
-                core = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
-                eigenvalues, vectors = np.linalg.eigh(r @ core @ r.T)
-                roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + eigenvalues)[:, None] - 1
-            scale, base, root_factor = roots[n]
+                basis, r = np.linalg.qr(ends.T)
+                inner_matrix = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
+                eigenvalues, vectors = np.linalg.eigh(r @ inner_matrix @ r.T)
+                roots[n] = scale[:, None], basis @ vectors, np.sqrt(1 + eigenvalues)[:, None] - 1
+            scale, basis, root_factor = roots[n]
             whitened = scale * dct(columns[run], axis=0, norm="ortho")
-            parts.append(whitened + base @ (root_factor * (base.T @ whitened)))
-        return np.concatenate(parts)
+            whitened_runs.append(whitened + basis @ (root_factor * (basis.T @ whitened)))
+        return np.concatenate(whitened_runs)
 
 
 def dct_nodes(time_order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTNodes | None:
@@ -241,8 +241,8 @@ def dct_nodes(time_order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) ->
     times = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), run_starts[1:])]
     indices = [np.arange(len(t)) - 0.5 * (len(t) - 1) for t in times]
     period = sum(map(np.dot, indices, times)) / sum(i @ i for i in indices)
-    deviation = max(float(np.ptp(t - period * i)) for t, i in zip(times, indices, strict=True))
-    return DCTNodes(runs, period) if deviation <= MAX_JITTER_STEPS * period else None
+    max_deviation = max(float(np.ptp(t - period * i)) for t, i in zip(times, indices, strict=True))
+    return DCTNodes(runs, period) if max_deviation <= MAX_JITTER_STEPS * period else None
 
 
 class Products:
@@ -346,13 +346,13 @@ def _list_distances(n: int) -> Iterator[int]:
         distance *= FINE_RATIO
 
 
-def _assemble_blocks(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
+def _assemble_blocks(blocks: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
     """Assemble blocks (k, k, s) into block-diagonal matrices (s, q, q)."""
-    size, start = sum(map(len, parts)), 0
+    size, start = sum(map(len, blocks)), 0
     matrices = np.zeros((count, size, size))
-    for part in parts:
-        stop = start + len(part)
-        matrices[:, start:stop, start:stop], start = np.moveaxis(part, -1, 0), stop
+    for block in blocks:
+        stop = start + len(block)
+        matrices[:, start:stop, start:stop], start = np.moveaxis(block, -1, 0), stop
     return matrices
 
 

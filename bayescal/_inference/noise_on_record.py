@@ -59,11 +59,11 @@ class Whitening(NamedTuple):
             width *= 2
         padded_table = np.zeros((record.padded_size, width))
         padded_table[:n, :m] = _sort_by_time(law, record, table, 0)
-        extra = np.asarray(self.extra, float)
-        if extra.ndim:
-            extra = record.pad(_sort_by_time(law, record, extra, 0))
+        added_variance = np.asarray(self.extra, float)
+        if added_variance.ndim:
+            added_variance = record.pad(_sort_by_time(law, record, added_variance, 0))
         values = {name: np.float64(self.values[name]) for name in law.parameters()}
-        results = _run_whitening(*record.prepare_for_law(law), padded_table, extra, values)
+        results = _run_whitening(*record.prepare_for_law(law), padded_table, added_variance, values)
         whitened, log_sd = map(np.asarray, results)
         return whitened[:n, :m], 2.0 * float(np.sum(log_sd[:n]))
 
@@ -90,19 +90,19 @@ def whitening(
     law: Noise,
     values: Values,
     record: Record,
-    extra: Float[np.ndarray, "n"] | float = 0.0,
+    added_variance: Float[np.ndarray, "n"] | float = 0.0,
     residual: Float[np.ndarray, "n"] | None = None,
 ) -> Whitening | SdWhitening:
     """Return the whitening of readings under a noise law at given parameters.
 
     Under a non-Gaussian law a reading's precision is that of the Gaussian scale mixture at its `residual`, or the
-    inverse variance if `residual` is None. extra: additional variance of each reading.
+    inverse variance if `residual` is None. added_variance: additional variance of each reading.
     """
     if not law.independent:
-        return Whitening(law, values, record, extra)
+        return Whitening(law, values, record, added_variance)
     if law.gaussian or residual is None:
-        return SdWhitening(np.sqrt(variance(law, values, record) + extra))
-    terms = density_terms(law, values, record, residual, extra)
+        return SdWhitening(np.sqrt(variance(law, values, record) + added_variance))
+    terms = density_terms(law, values, record, residual, added_variance)
     # Under a scale mixture of log density f a residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
     # J. Taylor, JASA 84 (1989) 881): EM, so that reducing the weighted squares reduces −2·log density.
     weight = np.maximum(terms.weight(residual), np.finfo(float).tiny)
@@ -277,9 +277,9 @@ def _run_batches(
     phi = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     arrays = tuple(a if a is None else _sort_by_time(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))
-    max_batch = max(1, MAX_BATCH_ELEMENTS // record.padded_size)
+    max_batch_size = max(1, MAX_BATCH_ELEMENTS // record.padded_size)
     is_small = count <= 8 * BATCH_DRAWS
-    batch_size = 1 if count == 1 else BATCH_DRAWS if is_small else min(256, max_batch)
+    batch_size = 1 if count == 1 else BATCH_DRAWS if is_small else min(256, max_batch_size)
     for start in range(0, count, batch_size):
         draws = np.minimum(start + np.arange(batch_size), count - 1)
         inputs: list[Any] = [

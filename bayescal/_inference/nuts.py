@@ -153,18 +153,18 @@ def build_program(layout: Layout, frame: Frame) -> Callable:
             c = b.coefficient
             if c.flat:
                 flat_prior = dist.ImproperUniform(dist.constraints.real_vector, (), (b.size,))
-                site = numpyro.sample(b.name, flat_prior)
+                coefficients = numpyro.sample(b.name, flat_prior)
             else:
                 z = numpyro.sample(
                     f"{b.name}.standard", dist.Normal(0.0, 1.0).expand([b.size]).to_event(1)
                 )
                 sd = c.size if b.group_sd_name is None else values[b.group_sd_name]
-                site = b.mean + sd * z
-            x.append(site)
+                coefficients = b.mean + sd * z
+            x.append(coefficients)
         x = jnp.concatenate(x) if x else jnp.zeros(0)
         numpyro.deterministic("x", x)
         numpyro.deterministic("v", v)
-        terms = forward.log_likelihood(layout, frame, y, x, values)
-        numpyro.factor("readings", jnp.sum(terms))
+        log_densities = forward.log_likelihood(layout, frame, y, x, values)
+        numpyro.factor("readings", jnp.sum(log_densities))
 
     return model

@@ -57,7 +57,7 @@ def run(
     plan: Plan,
 ) -> Chains:
     """Run NUTS on a log density, chains in parallel, preconditioned and started by a Laplace approximation."""
-    k1, k2 = jax.random.split(key)
+    start_key, chain_key = jax.random.split(key)
     # Preconditioned by the Laplace covariance, so that the initial identity mass matrix is adequate.
     chol = np.linalg.cholesky(np.asarray(covariance)) if start.size else np.zeros((0, 0))
     chol = jnp.asarray(chol)
@@ -67,8 +67,8 @@ def run(
         value = log_density(start + chol @ q)
         return jnp.where(jnp.isfinite(value), -value, 1e300)
 
-    starts = 0.5 * jax.random.normal(k1, (plan.chains, start.size))
-    chains = run_kernel(plan.kernel(potential_fn=potential), k2, (), starts, plan)
+    starts = 0.5 * jax.random.normal(start_key, (plan.chains, start.size))
+    chains = run_kernel(plan.kernel(potential_fn=potential), chain_key, (), starts, plan)
     return chains._replace(draws=start + chains.draws @ chol.T)
 
 
@@ -103,17 +103,17 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
         blocks.append(jax.tree.map(np.asarray, samples))
         if iteration == 0:
             # A lower bound, by shallow trees, so that no chain is stopped that would have finished.
-            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(blocks[0][2]), axis=-1))))
-            elapsed = time.monotonic() - start
-            seconds = elapsed / BLOCK * min(1.0, MIN_STEPS / steps) * (count - BLOCK)
+            mean_steps = max(1.0, float(np.mean(np.max(np.atleast_2d(blocks[0][2]), axis=-1))))
+            elapsed_s = time.monotonic() - start
+            seconds = elapsed_s / BLOCK * min(1.0, MIN_STEPS / mean_steps) * (count - BLOCK)
             if time.monotonic() + seconds > time_limit.ends_at:
                 duration = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
                 raise deadline.TimeIsUp(f"{time_limit.reason}; NUTS would take {duration} or more")
-    z, diverging, steps = jax.tree.map(
+    z, diverging, mean_steps = jax.tree.map(
         lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *blocks
     )
     chain_draws = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
-    return Chains(chain_draws, int(np.sum(diverging)), float(np.mean(steps)))
+    return Chains(chain_draws, int(np.sum(diverging)), float(np.mean(mean_steps)))
 
 
 def whiten_posterior(problem: Problem, mode: Mode):

@@ -221,10 +221,10 @@ class Problem:
         line = self.linearise_dynamic(x, hyper)
         if not self.is_affine:
             return line
-        static, dynamic_indices = self._static_jacobian
-        jacobian = np.tile(static, (*line.mean.shape[:-1], 1, 1))
+        static_jacobian, dynamic_indices = self._static_jacobian
+        jacobian = np.tile(static_jacobian, (*line.mean.shape[:-1], 1, 1))
         jacobian[..., dynamic_indices] = line.jacobian
-        return Linearisation(line.mean + x @ static.T, jacobian, line.inputs)
+        return Linearisation(line.mean + x @ static_jacobian.T, jacobian, line.inputs)
 
     def linearise_dynamic(
         self,

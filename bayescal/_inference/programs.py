@@ -36,22 +36,22 @@ def padded_length(size: int) -> int:
 def pad_frame(frame: Frame) -> Frame:
     """Pad a frame with copies of the last reading, each a separate run, and convert it to JAX arrays."""
     size = frame.size
-    extra_rows = padded_length(size) - size
+    padding_count = padded_length(size) - size
 
     # A repeated reading is a valid argument of any basis, unlike zeros (log 0).
     def pad(values: Any) -> np.ndarray:
-        return np.pad(np.asarray(values), (0, extra_rows), mode="edge")
+        return np.pad(np.asarray(values), (0, padding_count), mode="edge")
 
     def extend(values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: pad(v) for name, v in values.items()}
 
-    codes = {g: np.pad(c, (0, extra_rows), constant_values=-1) for g, c in frame.codes.items()}
+    codes = {g: np.pad(c, (0, padding_count), constant_values=-1) for g, c in frame.codes.items()}
     padded_frame = replace(
         frame,
         **{name: extend(getattr(frame, name)) for name in ("columns", "labels", "rates", "record")},
         codes=codes,
-        order=np.append(frame.order, np.arange(size, size + extra_rows, dtype=np.int32)),
-        step=np.append(frame.step, -np.ones(extra_rows)),
+        order=np.append(frame.order, np.arange(size, size + padding_count, dtype=np.int32)),
+        step=np.append(frame.step, -np.ones(padding_count)),
     )
     return jax.tree.map(jnp.asarray, padded_frame)
 

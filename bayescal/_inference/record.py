@@ -102,10 +102,10 @@ class Record:
             if not len(rows):
                 continue
             columns = [c for c in effect.columns if c in self.frame.columns]
-            location = ", ".join(f"{c} {self.frame[c][rows[0]]:.6g}" for c in columns)
+            place_text = ", ".join(f"{c} {self.frame[c][rows[0]]:.6g}" for c in columns)
             raise ModelError(
                 f"Effect {effect.name!r} is not finite in {len(rows)} of {self.size} readings, first in reading "
-                f"{rows[0] + 1} ({location}): check it for divisions by zero and roots of negative numbers"
+                f"{rows[0] + 1} ({place_text}): check it for divisions by zero and roots of negative numbers"
             )
 
     def residual_record(self, residual: Float[np.ndarray, "n"]) -> Record:
@@ -350,9 +350,9 @@ class Record:
             for arrays in arrays_by_kind
         ]
         # Full and half batches, and a sixth for long records: few batch sizes to compile.
-        limit = max(CALL_DRAWS, CALL_ELEMENTS // self.padded_size)
+        max_size = max(CALL_DRAWS, CALL_ELEMENTS // self.padded_size)
         divisors = (6, 2, 1) if CALL_DRAWS * self.padded_size > 2 * CALL_ELEMENTS else (2, 1)
-        size = next((limit // n for n in divisors if count <= limit // n), limit)
+        size = next((max_size // n for n in divisors if count <= max_size // n), max_size)
         result = None
         for start in range(0, count, size):
             stop = min(start + size, count)
@@ -361,8 +361,8 @@ class Record:
             outputs = program(argument, self.padded, *batch)
             if result is None:
                 result = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), outputs)
-            for target, arrays in zip(*map(jax.tree.leaves, (result, outputs)), strict=True):
-                target[start:stop] = np.asarray(arrays)[: stop - start, : self.size]
+            for result_array, arrays in zip(*map(jax.tree.leaves, (result, outputs)), strict=True):
+                result_array[start:stop] = np.asarray(arrays)[: stop - start, : self.size]
         return result
 
     def pad(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
@@ -384,12 +384,12 @@ _RECORDS: WeakValueDictionary[Any, Record] = WeakValueDictionary()
 def record_of(instrument: Instrument, readings: Measurements, reference: Reference) -> Record:
     """Return a record of readings; all records of the same readings share frame and shape-independent columns."""
     key = id(readings), instrument, _make_hashable(reference)
-    base = _RECORDS.get(key)
-    if base is None:
+    shared_record = _RECORDS.get(key)
+    if shared_record is None:
         frame = build_frame(readings, reference)
-        base = _RECORDS[key] = Record(instrument, frame, np.asarray(frame["output"]))
-        base.source = readings  # a reference, so that their `id` in the key stays unique
-    return base.with_frame()
+        shared_record = _RECORDS[key] = Record(instrument, frame, np.asarray(frame["output"]))
+        shared_record.source = readings  # a reference, so that their `id` in the key stays unique
+    return shared_record.with_frame()
 
 
 def _make_hashable(value: Any) -> Any:

@@ -111,17 +111,17 @@ class Mixture(NamedTuple):
         dim = self.centres.shape[1]
         dof, half = self.dof, 0.5 * (self.dof + dim)
         # Density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
-        norm = gammaln(half) - gammaln(0.5 * dof) - 0.5 * dim * math.log(dof * math.pi)
+        log_norm = gammaln(half) - gammaln(0.5 * dof) - 0.5 * dim * math.log(dof * math.pi)
         kernels, counts = np.unique(self.centres, axis=0, return_counts=True)
         # |z − c|² = |z|² − 2·zᵀc + |c|², without cancellation relative to the middle; resampled centres repeat.
         z, c = (_whiten(self.chol, v - self.middle), _whiten(self.chol, kernels - self.middle))
         c, offset = c.T * (-2 / dof), 1 + np.sum(c**2, axis=1) / dof
         kernel_sums = np.empty(len(v))
         for start in range(0, len(v), DISTANCE_BATCH_DRAWS):  # so many that they stay in the cache
-            block = z[start : start + DISTANCE_BATCH_DRAWS]
-            terms = block @ c
+            rows = z[start : start + DISTANCE_BATCH_DRAWS]
+            terms = rows @ c
             terms += offset
-            terms += np.sum(block**2, axis=1)[:, None] / dof
+            terms += np.sum(rows**2, axis=1)[:, None] / dof
             np.log(np.maximum(terms, 1.0, out=terms), out=terms)
             terms *= -half
             kernel_sums[start : start + DISTANCE_BATCH_DRAWS] = np.exp(terms, out=terms) @ counts
@@ -132,7 +132,7 @@ class Mixture(NamedTuple):
         z = _whiten(self.axes, v - self.middle)
         log_wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / dof)
         log_wide -= volumes[1] + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
-        return norm + np.logaddexp(
+        return log_norm + np.logaddexp(
             log_kernels + math.log1p(-self.split_weight), log_wide + math.log(self.split_weight)
         )
 
@@ -207,8 +207,8 @@ def adapt_proposal(
     values: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]],
     prior: PriorComponent | None,
     rng: np.random.Generator,
-    proposals: int,
-    rounds: int,
+    proposal_count: int,
+    max_rounds: int,
     limit: float,
 ) -> Mixture:
     """Adapt a proposal distribution to a density that is cheap to evaluate.
@@ -220,23 +220,23 @@ def adapt_proposal(
         mode: mode of the density and Laplace approximation.
         values: function that returns the unnormalised log density at several points.
         prior: prior as a defensive proposal; None if it is improper.
-        proposals: number of draws per round.
-        rounds: largest number of rounds; fewer if the effective sample size is large, or k̂ sound after three.
+        proposal_count: number of draws per round.
+        max_rounds: largest number of rounds; fewer if the effective sample size is large, or k̂ sound after three.
         limit: log density above which a draw reveals a higher mode, and adaptation stops.
     """
     # Population Monte Carlo: O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907.
     # A kernel at the mode, and a defensive one 1.7 times as wide.
-    chol, pool = np.linalg.cholesky(mode.covariance), Rounds(prior)
+    chol, rounds_pool = np.linalg.cholesky(mode.covariance), Rounds(prior)
     mixture = Mixture(mode.v[None], chol, mode.v, WIDE_RATIO * chol, 0.4)
-    for k in range(rounds if len(mode.v) else 0):
-        v, log_proposal = draw_proposals(mixture, prior, rng, proposals)
+    for k in range(max_rounds if len(mode.v) else 0):
+        v, log_proposal = draw_proposals(mixture, prior, rng, proposal_count)
         log_density = values(v)
         log_weight = log_density - log_proposal
         if np.max(log_density) > limit or compute_ess(softmax(log_weight)) > ESS_RATIO * len(v):
             break
         sample = _Sample(v, log_density, np.zeros((len(v), 0)), log_density)
-        pool.add(mixture, log_proposal, sample)
-        mixture = _update_mixture(mixture, mode, pool.samples.v, pool.log_weight)
+        rounds_pool.add(mixture, log_proposal, sample)
+        mixture = _update_mixture(mixture, mode, rounds_pool.samples.v, rounds_pool.log_weight)
         if k + 1 >= K_HAT_ROUNDS and smooth(log_weight)[1] <= MAX_K_HAT:
             break
     return mixture
@@ -524,16 +524,16 @@ def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.
     weight = weight / np.sum(weight)
     effective_draws = compute_ess(weight)
     # Shrinkage: at 20 effective draws per coordinate sample and Laplace covariance have equal weight.
-    confidence = effective_draws / (effective_draws + 20.0 * v.shape[1])
+    sample_weight = effective_draws / (effective_draws + 20.0 * v.shape[1])
     mean = weight @ v
     weighted_covariance = (weight[:, None] * (v - mean)).T @ (v - mean)
-    covariance = confidence * weighted_covariance + (1 - confidence) * mode.covariance
+    covariance = sample_weight * weighted_covariance + (1 - sample_weight) * mode.covariance
     chol = KERNEL_WIDTH * np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
     kernel_count = MIN_KERNEL_COUNT if v.shape[1] <= 3 else KERNEL_COUNT
     # Systematic resampling without its random offset: equal steps of the cumulative weights.
     probabilities = (np.arange(kernel_count) + 0.5) / kernel_count
     indices = np.minimum(np.searchsorted(np.cumsum(weight), probabilities), weight.size - 1)
-    split_weight = max(0.1, 1 - confidence) if mixture.dof > T_DOF else 0.1
+    split_weight = max(0.1, 1 - sample_weight) if mixture.dof > T_DOF else 0.1
     return mixture._replace(centres=v[indices], chol=chol, split_weight=split_weight)
 
 
@@ -545,9 +545,9 @@ def draw_by_importance(
     Returns draws (s, d), their normalised Pareto-smoothed weights (s,), and the log evidence.
     """
     dim, rng = len(fit.v), np.random.default_rng(seed)
-    origin, identity = np.zeros(dim), np.eye(dim)
+    origin, unit_matrix = np.zeros(dim), np.eye(dim)
     root = np.linalg.cholesky(fit.covariance)
-    mode = Mode(origin[:0], origin, identity, fit.log_density, 0.0, 0.0, origin[:0], False)
+    mode = Mode(origin[:0], origin, unit_matrix, fit.log_density, 0.0, 0.0, origin[:0], False)
 
     def evaluate(u: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         return values(fit.v + u @ root.T)

@@ -102,9 +102,9 @@ class TabulatedDensity:
             effects.setdefault(id(t.effect), []).append(t)
         blocks = []
         for terms in effects.values():
-            names, fixed = terms[0].columns.names, problem.fixed_values
-            fixed_shapes = tuple(fixed.get(n) for n in names)
-            config = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]
+            names, fixed_values = terms[0].columns.names, problem.fixed_values
+            fixed_shapes = tuple(fixed_values.get(n) for n in names)
+            term_fields = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]
             owners = [
                 np.arange(t.x_slice.start, t.x_slice.stop)
                 if t.place == "x"
@@ -114,10 +114,10 @@ class TabulatedDensity:
             multipliers = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
             blocks.append(
                 EffectBlock(
-                    table.number((terms[0].columns.key, fixed_shapes, *config)),
+                    table.number((terms[0].columns.key, fixed_shapes, *term_fields)),
                     problem.record.expansions(terms[0].columns, fixed_shapes),
                     tuple(terms),
-                    [self.phi_index[n] for n in names if n not in fixed],
+                    [self.phi_index[n] for n in names if n not in fixed_values],
                     np.concatenate(owners),
                     np.concatenate(multipliers),
                 )
@@ -175,8 +175,8 @@ class TabulatedDensity:
         sd = problem.sizes.fixed_sd.copy()
         origin[weight == 0] = 0.0
         sd[weight == 0] = np.inf
-        for members in problem.sizes.learned_sd_masks.values():
-            sd[members > 0] = np.inf
+        for mask in problem.sizes.learned_sd_masks.values():
+            sd[mask > 0] = np.inf
         for key, block in self._static_blocks.items():
             if (coefficients := self.table.fitted_coefficients.get(key)) is not None:
                 is_in_x = block.owners < problem.size
@@ -341,8 +341,8 @@ class TabulatedDensity:
         flat_scales: Float[np.ndarray, "p"],
     ) -> PolynomialTable | None:
         """Approximate columns by polynomials in φ near its mode; return None if inaccurate or too expensive."""
-        normal = np.random.default_rng(0).standard_normal((400, len(v)))
-        draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
+        deviates = np.random.default_rng(0).standard_normal((400, len(v)))
+        draws, expansions = v + deviates @ np.linalg.cholesky(covariance).T, list[Expansion]()
         for block in self.blocks:
             if not block.shape_indices:
                 expansions.append(block.expansion_at(v, False))
@@ -351,19 +351,19 @@ class TabulatedDensity:
             if expansion is None:
                 return None
             expansions.append(expansion)
-        polynomial = PolynomialTable(self, tuple(expansions))
+        polynomial_table = PolynomialTable(self, tuple(expansions))
         max_pairs = MAX_PAIRS_PER_READING * self.problem.record.size
-        if self.is_direct and polynomial.rows.width**2 > max_pairs:
+        if self.is_direct and polynomial_table.rows.width**2 > max_pairs:
             return None
         if not any(block.shape_indices for block in self.blocks):
-            return polynomial
+            return polynomial_table
         test_v = draws[:TEST_DRAWS]
         exact, fitted_values = (
             self.problem.draw_x(table.grams(test_v), test_v, flat_scales, self.origin).log_marginal
-            for table in (self, polynomial)
+            for table in (self, polynomial_table)
         )
         error = np.abs(fitted_values - exact)[np.isfinite(exact)]
-        return polynomial if np.max(error, initial=0.0) < MAX_ERROR_NATS else None
+        return polynomial_table if np.max(error, initial=0.0) < MAX_ERROR_NATS else None
 
     def _compute_log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the log prior of φ, and its first and second derivatives with respect to each coordinate (d,)."""
@@ -382,12 +382,12 @@ class TabulatedDensity:
         """
         problem, h = self.problem, DIFF_STEP
         first_derivatives, second_derivatives = np.zeros((2, len(v), problem.size + 1))
-        for name, members in problem.sizes.learned_sd_masks.items():
+        for name, mask in problem.sizes.learned_sd_masks.items():
             if (i := self.phi_index.get(name)) is not None:
                 coordinates = v[i] + np.array([-h, 0, h])
                 low, middle, high = np.log(problem.hypers[i].prior.value(coordinates))
-                first_derivatives[i, :-1] += (high - low) / (2 * h) * members
-                second_derivatives[i, :-1] += (high - 2 * middle + low) / h**2 * members
+                first_derivatives[i, :-1] += (high - low) / (2 * h) * mask
+                second_derivatives[i, :-1] += (high - 2 * middle + low) / h**2 * mask
         for name in problem.sizes.weights_by_shape:
             if (i := self.phi_index.get(name)) is not None:
                 value = problem.hypers[i].prior.value
@@ -429,7 +429,7 @@ class _StructureRows:
     def __init__(self, tabulated: TabulatedDensity, expansions: tuple[Expansion, ...]) -> None:
         self.expansions, self.blocks = expansions, tabulated.blocks
         p, table, keys = tabulated.problem.size, tabulated.table, list[int]()
-        column, owner, factors, self.slices = [], [], [], []
+        column_parts, owner_parts, factor_parts, self.slices = [], [], [], []
         start = 0
         for block, expansion in zip(tabulated.blocks, expansions, strict=True):
             key = tabulated._get_block(block, expansion)
@@ -437,9 +437,9 @@ class _StructureRows:
             r = expansion.rank
             columns = start + np.arange(len(block.owners) * r)
             self.slices.append(slice(start, start + len(columns)))
-            column.append(columns)
-            owner.append(np.repeat(block.owners, r))
-            factors.append(np.repeat(block.multipliers, r))
+            column_parts.append(columns)
+            owner_parts.append(np.repeat(block.owners, r))
+            factor_parts.append(np.repeat(block.multipliers, r))
             # Add back what was subtracted from the residual, relative to the origin of x.
             is_in_x = block.owners < p
             origin = tabulated.origin[np.minimum(block.owners, max(p - 1, 0))] if p else 0.0
@@ -447,20 +447,20 @@ class _StructureRows:
             offset += table.fitted_coefficients.get(key, 0.0)
             offset = np.repeat(offset, r)
             nonzero = np.flatnonzero(offset)
-            column.append(columns[nonzero])
-            owner.append(np.full(len(nonzero), p))
-            factors.append(offset[nonzero])
+            column_parts.append(columns[nonzero])
+            owner_parts.append(np.full(len(nonzero), p))
+            factor_parts.append(offset[nonzero])
             start += len(columns)
         for key in table.fitted_coefficients.keys() - set(keys):
             width = table.fitted_coefficients[key].size
             keys.append(key)
-            column.append(start + np.arange(width))
-            owner.append(np.full(width, p))
-            factors.append(table.fitted_coefficients[key])
+            column_parts.append(start + np.arange(width))
+            owner_parts.append(np.full(width, p))
+            factor_parts.append(table.fitted_coefficients[key])
             start += width
-        self.column = np.concatenate([*column, [start]]).astype(int)
-        self.owner = np.concatenate([*owner, [p]]).astype(int)
-        self.multipliers = np.concatenate([*factors, [1.0]])
+        self.column = np.concatenate([*column_parts, [start]]).astype(int)
+        self.owner = np.concatenate([*owner_parts, [p]]).astype(int)
+        self.multipliers = np.concatenate([*factor_parts, [1.0]])
         self.width = start + 1
         self.indicator = np.zeros((len(self.owner), p + 1))
         self.indicator[np.arange(len(self.owner)), self.owner] = 1.0

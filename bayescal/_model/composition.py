@@ -110,18 +110,18 @@ def compose(
     slots: dict[str, Any] = {}
     correction_indices = [i for i, t in enumerate(terms) if t.slot not in source.slots]
     slot_indices = [i for i, t in enumerate(terms) if t.slot in source.slots]
-    for indices, totals in ((correction_indices, shifts), (slot_indices, slots)):
-        column_shifts = {} if totals is shifts else shifts
+    for indices, sums in ((correction_indices, shifts), (slot_indices, slots)):
+        column_shifts = {} if sums is shifts else shifts
         for _, group in groupby(indices, lambda i: terms[i].effect.name):
-            members = list(group)
-            first_term = terms[members[0]]
+            term_indices = list(group)
+            first_term = terms[term_indices[0]]
             shapes = [hyper[name] for name in first_term.columns.names]
             basis, basis_grads = source.columns(first_term, shapes, column_shifts, with_grad)
-            for i in members:
+            for i in term_indices:
                 t = terms[i]
                 columns[i] = basis[..., t.index] * t.factor
                 grads[i] = {name: g[..., t.index] * t.factor for name, g in basis_grads.items()}
-            _add_terms(source.xp, totals, [(terms[i], columns[i], values[i]) for i in members])
+            _add_terms(source.xp, sums, [(terms[i], columns[i], values[i]) for i in term_indices])
     return ResponseArguments(slots, shifts, values, columns, grads)
 
 
@@ -132,8 +132,8 @@ def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, A
         if len(parts) > 2 and all(v.shape[-1] == 1 and c.ndim == 1 for _, c, v in parts):
             # Columns without a draw axis: one matrix product instead of a sum of terms.
             columns = xp.stack([c for _, c, _ in parts])
-            product = xp.concatenate([v for *_, v in parts], axis=-1) @ columns
-            totals[slot] = totals[slot] + product if slot in totals else product
+            sum_of_terms = xp.concatenate([v for *_, v in parts], axis=-1) @ columns
+            totals[slot] = totals[slot] + sum_of_terms if slot in totals else sum_of_terms
             continue
         for _, column, v in parts:
             totals[slot] = totals[slot] + column * v if slot in totals else column * v
@@ -159,8 +159,8 @@ def linearise_output(
     mean, derivatives = differentiate_output(source, terms, arguments)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
     triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, arguments.columns, strict=True)]
-    groups = ([t for t in triples if t[0].place == place] for place in ("x", "input"))
-    return Linearisation(mean, *(assemble(source, mean, group) for group in groups))
+    triples_by_place = ([t for t in triples if t[0].place == place] for place in ("x", "input"))
+    return Linearisation(mean, *(assemble(source, mean, group) for group in triples_by_place))
 
 
 def compute_input_variance(terms: Sequence[Term], linearisation: Linearisation) -> Any:

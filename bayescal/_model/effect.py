@@ -320,8 +320,8 @@ class Effect:
 
     def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
         """Return the effect with other plausible ranges of shapes, name → (low, high)."""
-        limits = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
-        shapes = ((s, *limits[s.name]) for s in self.shapes)
+        ranges_by_name = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
+        shapes = ((s, *ranges_by_name[s.name]) for s in self.shapes)
         return replace(self, shapes=tuple(replace(s, low=a, high=b) for s, a, b in shapes))
 
     def coefficient_name(self, index: int) -> str:
@@ -366,9 +366,9 @@ def tabulate_effects(effects: Iterable[Effect]) -> ResultTable:
     rows = []
     for effect in effects:
         first, count = effect.coefficients[0], len(effect.coefficients)
-        size = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
+        size_text = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
         count_text = f"one per {first.per}" if first.per else "one" if count == 1 else f"{count}"
-        rows.append([effect.name, count_text, size.rstrip(), effect.equation])
+        rows.append([effect.name, count_text, size_text.rstrip(), effect.equation])
     return make_table(
         ["effect", "coefficients", "plausible size", "equation"], rows, left=2, width=30
     )

@@ -226,16 +226,16 @@ class _EffectParser:
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
         self.names, self.positions, source = dict[str, str](), list[int](), ""
         for token in _TOKEN_REGEX.finditer(self.text):
-            kind = str(token.lastgroup)
-            word, start = token[kind], token.start(kind)
-            if kind == "other":
+            token_kind = str(token.lastgroup)
+            word, start = token[token_kind], token.start(token_kind)
+            if token_kind == "other":
                 raise self.make_error(start, f"{word!r} is not allowed in a formula")
-            if kind == "function" and word not in _ARGUMENT_COUNTS:
+            if token_kind == "function" and word not in _ARGUMENT_COUNTS:
                 message = f"{word!r} is not a function (available: {', '.join(_ARGUMENT_COUNTS)})"
                 raise self.make_error(start, message)
-            if kind == "number":
+            if token_kind == "number":
                 word = repr(_to_float(word, partial(self.make_error, start)))
-            elif kind in ("name", "quoted"):
+            elif token_kind in ("name", "quoted"):
                 key = f"n{len(self.names)}"
                 self.names[key], word = word, key
             source += word.replace("^", "**") + " "
@@ -243,17 +243,17 @@ class _EffectParser:
         try:
             tree = ast.parse(source, mode="eval").body
         except (SyntaxError, MemoryError, RecursionError) as error:
-            column = (getattr(error, "offset", None) or 1) - 1
-            start = self.positions[column] if column < len(self.positions) else len(self.text)
+            index = (getattr(error, "offset", None) or 1) - 1
+            start = self.positions[index] if index < len(self.positions) else len(self.text)
             reason = "the formula cannot be parsed here: is an operator, number, name or bracket missing?"
             raise self.make_error(start, reason) from None
         for node in ast.walk(tree):
             if not isinstance(node, _ALLOWED_NODES):
                 raise self.make_error(self.locate(node), "this is not allowed in a formula")
             if isinstance(node, ast.Call) and len(node.args) != (
-                count := _ARGUMENT_COUNTS.get(_get_function_name(node), 0)
+                argument_count := _ARGUMENT_COUNTS.get(_get_function_name(node), 0)
             ):
-                reason = f"{_get_function_name(node)} takes {count} argument{'s' * (count > 1)}"
+                reason = f"{_get_function_name(node)} takes {argument_count} argument{'s' * (argument_count > 1)}"
                 raise self.make_error(self.locate(node), reason)
         self.has_history = any(isinstance(n, ast.Name) and n.id in _HISTORY for n in ast.walk(tree))
         return tree
@@ -310,22 +310,22 @@ class _EffectParser:
     def _negate(self, part: FormulaPart) -> FormulaPart:
         return self.apply("neg", part.unit, part)
 
-    def _combine(self, sign: str, a: LinearForm, b: LinearForm) -> LinearForm:
+    def _combine(self, sign: str, left: LinearForm, right: LinearForm) -> LinearForm:
         """Combine two linear forms by an arithmetic operator; raise InputError if coefficients multiply."""
         if sign in "+-":
-            for name, part in b.items():
-                if name in a:
-                    a[name] = self._add_or_compare(sign, a[name], part)
+            for name, part in right.items():
+                if name in left:
+                    left[name] = self._add_or_compare(sign, left[name], part)
                 else:
-                    a[name] = part if sign == "+" else self._negate(part)
-            return a
-        if set(b) == {""}:
-            return {n: self._multiply(sign, part, b[""]) for n, part in a.items()}
-        if set(a) == {""}:
-            return {n: self._multiply(sign, a[""], part) for n, part in b.items()}
-        coefficients = sorted({*a, *b} - {""})
+                    left[name] = part if sign == "+" else self._negate(part)
+            return left
+        if set(right) == {""}:
+            return {n: self._multiply(sign, part, right[""]) for n, part in left.items()}
+        if set(left) == {""}:
+            return {n: self._multiply(sign, left[""], part) for n, part in right.items()}
+        coefficients = sorted({*left, *right} - {""})
         undefined_names = [n for n in coefficients if n not in self.definitions]
-        start = next(iter(a.values())).start
+        start = next(iter(left.values())).start
         if self.readings is not None and len(undefined_names) == 1 < len(coefficients):
             raise self.make_error(start, self._format_missing_column(undefined_names[0]))
         reason = f"{' and '.join(coefficients)} are multiplied: only their product is identifiable"

@@ -132,17 +132,17 @@ class Frame:
     def recorded_lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """Return the lag T̃ − T, °C, of the recorded column without corrections; equation as in `lag`."""
         values = self.record[name][self.order]
-        change = xp.diff(values, prepend=values[:1])
+        changes = xp.diff(values, prepend=values[:1])
         is_held = xp.asarray(self.reference.get(name_hold_flag(name), 0.0)) > 0
-        step, index = (self.step, None) if is_traced(self.step) else self._distinct_steps
+        step, step_index = (self.step, None) if is_traced(self.step) else self._distinct_steps
         is_first, no_step = step < 0, step == 0
-        h = xp.where(is_first | no_step, 1.0, step / tau)
-        decay = xp.where(is_first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
-        linear_gain = xp.where(step > self.max_gap, -decay, xp.expm1(-h) / h)
+        ratio = xp.where(is_first | no_step, 1.0, step / tau)
+        decay = xp.where(is_first, 0.0, xp.where(no_step, 1.0, xp.exp(-ratio)))
+        linear_gain = xp.where(step > self.max_gap, -decay, xp.expm1(-ratio) / ratio)
         gain = xp.where(is_first, 0.0, xp.where(no_step | is_held, -1.0, linear_gain))
-        if index is not None:
-            decay, gain = (xp.take(a, index, axis=-1) for a in (decay, gain))
-        return xp.scatter(self.order, run_recursion(decay, change * gain))
+        if step_index is not None:
+            decay, gain = (xp.take(a, step_index, axis=-1) for a in (decay, gain))
+        return xp.scatter(self.order, run_recursion(decay, changes * gain))
 
     @cached_property
     def _distinct_steps(self) -> tuple[Float[np.ndarray, "u"], Any]:
@@ -356,8 +356,8 @@ def _encode_members(
     members, codes = readings.groups(group)
     if levels is not None:
         fitted_members = levels.get(group, ())
-        index = {level: i for i, level in enumerate(fitted_members)}
-        codes = np.array([index.get(level, -1) for level in members] + [-1])[codes]
+        code_by_member = {level: i for i, level in enumerate(fitted_members)}
+        codes = np.array([code_by_member.get(level, -1) for level in members] + [-1])[codes]
         members = fitted_members
     integer_type = np.min_scalar_type(-len(members) - 1)  # the smallest integer type
     return codes.astype(integer_type)

@@ -140,15 +140,15 @@ class Instrument:
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Reduce to the module and name of the instrument's definition, and the fields that differ from it."""
-        module = self.response.__module__
-        module_object = sys.modules.get(module)
+        module_name = self.response.__module__
+        module_object = sys.modules.get(module_name)
         for name, value in vars(module_object).items() if module_object else ():
             if isinstance(value, Instrument) and value.name == self.name:
                 if self.settings and value.tailor is not None:
-                    return _unpickle, (module, name, None, dict(self.settings))
+                    return _unpickle, (module_name, name, None, dict(self.settings))
                 fields, defaults = vars(self), vars(value)
                 changed_fields = {f: fields[f] for f in fields if fields[f] is not defaults[f]}
-                return _unpickle, (module, name, changed_fields, {})
+                return _unpickle, (module_name, name, changed_fields, {})
         return object.__reduce_ex__(self, protocol)
 
     def __repr__(self) -> str:

@@ -228,8 +228,8 @@ class Model(Printed):
                     f"{self.noise.name} noise depends on {name!r}, which is not a covariate of {readings.file} (it "
                     f"has: {', '.join(covariates)}). Name one of these (elapsed needs several runs)"
                 )
-        is_stated = readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
-        if self.noise_as_stated and not is_stated:
+        has_uncertainties = readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
+        if self.noise_as_stated and not has_uncertainties:
             raise ModelError(
                 f"With {WHITE} fixed to 0 each reading needs a known uncertainty, a positive number in the column "
                 f"{UNCERTAINTY!r}, which {readings.file} lacks: record it, or free {WHITE}"
@@ -273,9 +273,9 @@ def why_untestable(effect: Effect, readings: Measurements) -> str | None:
     if missing_columns := [c for c in effect.columns if not readings.has(c)]:
         return f"needs the column {', '.join(missing_columns)}"
     for column in effect.varies:
-        values = readings[column]
-        if (values == values[0]).all():
-            return f"needs {column} to vary; it is {values[0]:g} throughout"
+        column_values = readings[column]
+        if (column_values == column_values[0]).all():
+            return f"needs {column} to vary; it is {column_values[0]:g} throughout"
     # One member gives no standard deviation between members; an effect with other coefficients can still be fitted.
     has_only_deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:

@@ -225,8 +225,8 @@ class Noise(abc.ABC):
         """
         phi = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
         slow_variance = np.asarray(self.slow_variance(phi), float)
-        white = np.maximum(np.asarray(variance)[..., None] - slow_variance, 0.0)
-        return white / factors + sum(p.allan(phi, factors, step) for p in self.parts)
+        white_var = np.maximum(np.asarray(variance)[..., None] - slow_variance, 0.0)
+        return white_var / factors + sum(p.allan(phi, factors, step) for p in self.parts)
 
     def slow_variance(self, values: Parameters) -> Any:
         """Return the variance of the correlated part of the noise, output unit squared."""
@@ -239,8 +239,8 @@ class Noise(abc.ABC):
         step = self.parts[0].shortest
         factors = self.parts[0].longest / step * AVERAGING_TIMES
         phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
-        allan = self.allan_variance(phi, self.slow_variance(phi), factors, step)
-        return float(np.sqrt(np.max(allan)))
+        allan_variances = self.allan_variance(phi, self.slow_variance(phi), factors, step)
+        return float(np.sqrt(np.max(allan_variances)))
 
     @property
     def stationary(self) -> bool:
@@ -358,8 +358,8 @@ def offered(offer: Offer) -> Offer:
         offer: function of the prior of `noise.white` and of the readings' frame; it returns the laws that these
             readings can distinguish. It replaces a function of the same name, as when a notebook cell is run again.
     """
-    name = (offer.__module__, offer.__qualname__)
-    OFFERS[:] = [*(o for o in OFFERS if (o.__module__, o.__qualname__) != name), offer]
+    key = (offer.__module__, offer.__qualname__)
+    OFFERS[:] = [*(o for o in OFFERS if (o.__module__, o.__qualname__) != key), offer]
     return offer
 
 

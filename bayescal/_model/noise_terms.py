@@ -174,8 +174,8 @@ class CorrelatedTerm(ExponentialTerm):
         return self.rank > 1
 
     def derived(self, values):
-        size = {self._name("size"): np.sqrt(self.variance(values))}
-        return size if self.rank < 2 else {**size, self._name("time"): self.time(values)}
+        sds = {self._name("size"): np.sqrt(self.variance(values))}
+        return sds if self.rank < 2 else {**sds, self._name("time"): self.time(values)}
 
 
 class RandomWalkTerm(ExponentialTerm):

@@ -310,15 +310,15 @@ class Unknowns:
     ) -> Float[np.ndarray, "*draws unknowns"]:
         """Convert posterior draws of x and v to values of all unknowns, in reported units."""
         hyper, phi = self.layout.hyper(np.moveaxis(v, -1, 0)), self.layout.hypers
-        table = np.empty((*np.shape(x)[:-1], len(self.rows)))
+        values = np.empty((*np.shape(x)[:-1], len(self.rows)))
         for k, u in enumerate(self.rows):
             value = hyper[phi[u.v].name] if u.v is not None else x[..., u.x]
             if (b := u.block) is not None:
                 value = b.origin + value
                 if u.v is not None and (name := b.group_sd_name) is not None:
                     value = b.coefficient.mean + hyper[name] * value
-            table[..., k] = value
-        return table
+            values[..., k] = value
+        return values
 
     def select(self, values: Float[np.ndarray, "*draws unknowns"], name: str) -> np.ndarray:
         """Select the values of one unknown (…), or of all members of a group by their key (…, members)."""

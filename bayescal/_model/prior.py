@@ -209,7 +209,7 @@ def convert(prior: Any, is_shape: bool = False) -> Any:
     Raises:
         ModelError: it is not a scalar normal or positive distribution with cdf and icdf, or `is_shape` and not for one.
     """
-    name, reason = type(prior).__name__, "a shape cannot have it"
+    name, fault = type(prior).__name__, "a shape cannot have it"
     if not type(prior).__module__.startswith("numpyro."):
         if not is_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):
             return prior
@@ -219,16 +219,16 @@ def convert(prior: Any, is_shape: bool = False) -> Any:
             name, names = "TruncatedNormal", names | {"loc", "scale"}
         try:
             values = {n: float(getattr(prior, n, getattr(base, n, None))) for n in sorted(names)}
-            lower_bound, reason = float(prior.icdf(_TAIL)), "it may be negative"
+            lower_bound, fault = float(prior.icdf(_TAIL)), "it may be negative"
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:
-            lower_bound, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
+            lower_bound, values, fault = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
         allowed_types = (Normal,) if is_shape else (Normal, HalfNormal, HalfCauchy)
         if values and (prior_class := next((k for k in allowed_types if k.__name__ == name), None)):
             return prior_class(*values.values())
         if lower_bound >= 0:
             return NumpyroPrior(name, tuple(values.items()))
     hint = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
-    raise ModelError(f"prior {name}: {reason}. {hint} Normal or a positive distribution with icdf")
+    raise ModelError(f"prior {name}: {fault}. {hint} Normal or a positive distribution with icdf")
 
 
 PRIORS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)

@@ -134,10 +134,10 @@ def smooth(
         f_mean, state_covariance = h @ mean, covariance @ h
         f_variance = h @ state_covariance
         gain = state_covariance / (1 + p * f_variance)
-        squares = f_variance * b**2 + 2 * b * f_mean - p * f_mean**2
+        exponent = f_variance * b**2 + 2 * b * f_mean - p * f_mean**2
         mean = mean + gain[:, None] * (b - p * f_mean)
         covariance = covariance - p * gain[:, None] * state_covariance
-        log_z = 0.5 * squares / (1 + p * f_variance) - 0.5 * jnp.log1p(p * f_variance)
+        log_z = 0.5 * exponent / (1 + p * f_variance) - 0.5 * jnp.log1p(p * f_variance)
         return (mean, covariance), log_z
 
     def sum_log_z(weighted_residuals, precision):

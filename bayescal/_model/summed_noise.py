@@ -110,8 +110,8 @@ class SumOfTerms(Noise, interface=True):
         units = {n: unit for part in self.parts for n, (_, unit) in part.parameters().items()}
         if name not in units:
             return self.white_law.unit(name, output)
-        is_any = output == unit_conversion.ANY and "{}" in units[name]
-        return output if is_any else units[name].format(output)
+        is_any_unit = output == unit_conversion.ANY and "{}" in units[name]
+        return output if is_any_unit else units[name].format(output)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         return self.white_law.variance(parameters, frame) + self.slow_variance(parameters)

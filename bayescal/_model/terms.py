@@ -111,10 +111,10 @@ def build_terms(
         candidates = () if effect.name in correcting_effects else corrections
         selection = [c for c in candidates if c.column in effect.columns]
         specs[effect.name] = ColumnSpec.from_effect(effect).with_corrections(selection)
-    factors = size_factors or {}
+    factors_by_effect = size_factors or {}
 
     def make_term(b: CoefficientBlock) -> Term:
-        prior_sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
+        prior_sd = b.coefficient.size * factors_by_effect.get(b.effect.name, 1.0)
         corrects_path = b.slot in corrected_columns and isinstance(b.coefficient.prior, Known)
         slot = b.slot + PATH if corrects_path else b.slot
         return Term(**{**vars(b), "slot": slot}, columns=specs[b.effect.name], prior_sd=prior_sd)

@@ -108,10 +108,10 @@ class Vector:
         # The triad's matrix is upper triangular, by the convention of three misalignments.
         centred, quadratic_form = outputs - fitted_ellipsoid[0], fitted_ellipsoid[1]
         # Directions of the measurand, and normals of the ellipsoid.
-        vectors = centred @ np.linalg.cholesky(quadratic_form), centred @ quadratic_form
-        direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in vectors)
-        names, zero = (*DIRECTION, *ACROSS), np.zeros(len(y))
-        columns = dict.fromkeys(names, zero) | frame.columns
+        unnormalised = centred @ np.linalg.cholesky(quadratic_form), centred @ quadratic_form
+        direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in unnormalised)
+        names, zeros = (*DIRECTION, *ACROSS), np.zeros(len(y))
+        columns = dict.fromkeys(names, zeros) | frame.columns
         is_projection = np.any([columns[name] != 0 for name in ACROSS], axis=0)
         for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
             columns[name] = np.where(is_projection, columns[name], values)

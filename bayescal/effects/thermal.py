@@ -214,8 +214,8 @@ def body(
         name: name of the effect after the slot.
     """
     coefficients = _make_initial_state(start_unit, start, slot), Coefficient("1", Known(1.0))
-    decay = behind.equation.removeprefix("T → ").partition(",")[0].replace("T̃", "e")
-    equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  {slot} + d[run]·[{decay}],  e(τ) = exp(−(t − t_start)/τ)"
+    decay_text = behind.equation.removeprefix("T → ").partition(",")[0].replace("T̃", "e")
+    equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  {slot} + d[run]·[{decay_text}],  e(τ) = exp(−(t − t_start)/τ)"
     options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
     basis = partial(_evaluate_body, behind.modes)
     effect = _make_lag_effect(slot, name, basis, coefficients, equation, behind.shapes, **options)
