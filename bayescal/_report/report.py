@@ -183,7 +183,7 @@ def render_page(
         "number": number,
         "unit_label": unit_label,
         "probability": probability,
-        "minus": lambda text: re.sub(r"(?<![\w-])-(?=\d)|(?<=\de)-", "−", text),
+        "minus": lambda text: re.sub(r"(?<![\w-])-(?=\d)|(?<=[\d)]e)-", "−", text),
         "lines": lambda text: Markup("<br>").join(text.split("\n")),
         "measured": report_text.format_with_unit,
     }

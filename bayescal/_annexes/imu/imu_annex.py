@@ -17,7 +17,7 @@ UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
 CAPTION = "Three axes, with model inadequacy and effects of the test; without higher orders closer to zero than u/2"
 FIT_CAPTION = "COEFFICIENTS (uncertainties of the fit alone)"
-USE_CAPTION = "CORRECTION FOR USE (with model inadequacy, f = {:.2f}, and effects of the test; terms above u/2)"
+USE_CAPTION = "CORRECTION FOR USE (u with f = {:.2f} and effects of the test; higher orders only if above u/2)"
 
 
 class Triad(NamedTuple):
