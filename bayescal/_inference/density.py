@@ -206,7 +206,7 @@ class Density(NumericDensity):
             parts = terms.slope, terms.curvature, weight, z, terms.logdet
             return [objective, *map(np.array, parts)]
 
-        def products(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        def multiply(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:
             columns = select(jacobian, rows)
             return (columns * weight[:, :, None]).transpose(0, 2, 1) @ columns
 
