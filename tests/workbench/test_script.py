@@ -78,7 +78,7 @@ def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
         dict(instrument.structures)["quadratic"](),
         readings,
         folder=tmp_path / "out",
-        origin=Origin.of("mems_gyro", [odd], read=how, average="1min"),
+        origin=Origin.of("mems_gyro", [odd], read_options=how, average="1min"),
         seed=3,
         reference={"T0": 20.0},
     )

@@ -129,10 +129,10 @@ class DeviceResult:
         return float(self.mean[i]), float(self.sd[i])
 
     def __str__(self) -> str:
-        head = f"device {self.device}: {'ok' if self.ok else self.reason}"
+        title = f"device {self.device}: {'ok' if self.ok else self.reason}"
         sd_texts = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
         rows = zip(self.names, self.mean, sd_texts, self.units, strict=True)
-        return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
+        return "\n".join([title, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
 def _tabulate(results: Iterable[DeviceResult]) -> pa.Table:
@@ -152,8 +152,8 @@ def _tabulate(results: Iterable[DeviceResult]) -> pa.Table:
 def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
     """Split a results table by device; raise ValueError if rows of a device are missing or not contiguous."""
     fits = list[DeviceResult]()
-    for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
-        first, *_ = group_rows = [*group]
+    for name, device_rows in groupby(rows.to_pylist(), lambda row: row["device"]):
+        first, *_ = group_rows = [*device_rows]
         format_rows = [row for row in group_rows if row["coefficient"] is not None]
         keys = ("coefficient", "unit", "mean", "covariance")
         names, units, mean, covariance = ([row[key] for row in format_rows] for key in keys)

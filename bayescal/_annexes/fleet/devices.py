@@ -48,17 +48,17 @@ class Devices:
         if name in self.measurements:
             return self.measurements[name]
         names = ", ".join(self.names[:5]) + " …" * (len(self) > 5)
-        unknown = f"no readings; the {len(self)} devices are: {names}"
-        raise bc.InputError(f"device {name!r}: {self.rejection_reasons.get(name, unknown)}")
+        fault = f"no readings; the {len(self)} devices are: {names}"
+        raise bc.InputError(f"device {name!r}: {self.rejection_reasons.get(name, fault)}")
 
     def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
 
     def select(self, names: Sequence[str]) -> Devices:
         """Return the devices of these names, in the order of the names."""
-        accepted = {n: self.measurements[n] for n in names if n in self.measurements}
+        measurements = {n: self.measurements[n] for n in names if n in self.measurements}
         reasons = {n: self.rejection_reasons[n] for n in names if n in self.rejection_reasons}
-        return Devices(tuple(names), accepted, reasons)
+        return Devices(tuple(names), measurements, reasons)
 
     def __repr__(self) -> str:
         return f"<{sum(map(len, self))} readings of {len(self)} devices, {len(self.rejection_reasons)} rejected>"
@@ -82,7 +82,7 @@ class Devices:
     def of_measurements(
         cls, readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]
     ) -> Devices:
-        """Build devices named by the keys of a mapping, unique labels in the column `device`, or numbers from 1.
+        """Build devices devices by the keys of a mapping, unique labels in the column `device`, or numbers from 1.
 
         Raises:
             InputError: there are no measurements, or an entry is of another type.
@@ -97,10 +97,10 @@ class Devices:
             names = [v[0] if len(v) == 1 else str(i + 1) for i, v in enumerate(levels)]
             if len({*names}) < len(names):
                 names = [str(i + 1) for i in range(len(entries))]
-        by_name = dict(zip(names, entries, strict=True))
-        reasons = {n: error for n, d in by_name.items() if (error := _find_non_finite_value(d))}
-        accepted = {name: device for name, device in by_name.items() if name not in reasons}
-        return cls(tuple(by_name), accepted, reasons)
+        devices = dict(zip(names, entries, strict=True))
+        reasons = {n: error for n, d in devices.items() if (error := _find_non_finite_value(d))}
+        measurements = {name: device for name, device in devices.items() if name not in reasons}
+        return cls(tuple(devices), measurements, reasons)
 
 
 def _find_non_finite_value(device: bc.Measurements) -> str:
@@ -204,7 +204,7 @@ def read_devices(
         raise bc.InputError(f"{row} of {table.file!r} has no device: fill it in or remove the row")
     names = tuple(map(str, levels))
     values, units, rows, reasons = _convert_usable_rows(table, codes, names, expected, options)
-    by_name, required = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
+    measurements, required = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
     starts = np.flatnonzero(np.diff(codes[rows], prepend=-1))
     for first, end in itertools.pairwise([*starts, len(rows)]):
         name = names[codes[rows[first]]]
@@ -213,8 +213,8 @@ def read_devices(
             reasons[name] = error
         else:
             source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
-            by_name[name] = bc.Measurements(device, units, (source,), output=output)
-    return Devices(names, by_name, reasons)
+            measurements[name] = bc.Measurements(device, units, (source,), output=output)
+    return Devices(names, measurements, reasons)
 
 
 def _find_additional_columns(

@@ -87,7 +87,7 @@ Outcome = tuple[Any, str]  # a task's value, and its error message (empty on suc
 
 
 def run_tasks(
-    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], noun: str
+    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], plural_noun: str
 ) -> list[Outcome]:
     """Run a function with each task's arguments under this process's settings; return the outcomes in order.
 
@@ -101,7 +101,7 @@ def run_tasks(
         now, fraction = time.monotonic(), len(outcomes) / len(tasks)
         if now > last_report + REPORT_INTERVAL_S and fraction < 1:
             last_report, seconds = now, (now - start) * (1 / fraction - 1)
-            progress = f"{len(outcomes):,} of {len(tasks):,} {noun}"
+            progress = f"{len(outcomes):,} of {len(tasks):,} {plural_noun}"
             ws.notify(f"{progress}, about {seconds:,.0f} s left", fraction)
     return [outcomes[index] for index in range(len(tasks))]
 
@@ -125,10 +125,10 @@ def _iterate_outcomes(
         futures = {submit(run_guarded, function, t, settings): i for i, t in enumerate(tasks)}
     last_active = now = time.monotonic()  # last time with a worker, s
     while futures and not deadline.is_over and now <= last_active + WORKER_TIMEOUT_S:
-        completed, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
+        completed_futures, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
         now = time.monotonic()
-        last_active = now if completed or client.nthreads() else last_active
-        for future in completed:
+        last_active = now if completed_futures or client.nthreads() else last_active
+        for future in completed_futures:
             index = futures.pop(future)
             try:
                 yield index, future.result()

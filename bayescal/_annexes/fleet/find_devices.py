@@ -67,8 +67,8 @@ def search_device(
     if stop_reason := ws.explore(ws.Library(structures), MAX_EFFECTS_PER_DEVICE):
         raise ws.deadline.TimeIsUp(stop_reason)
     posterior = ws.Posterior.from_structures(structures)
-    chosen = posterior.median_structure
-    evaluated = structures.evaluate(chosen)
+    median_structure = posterior.median_structure
+    evaluated_structure = structures.evaluate(median_structure)
     log_odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in forms]))
         for n, forms in structures.forms.items()
@@ -77,11 +77,11 @@ def search_device(
     structure = DeviceStructure(
         prior,
         _sum_log_evidences(posterior, log_odds),
-        tuple(sorted(chosen.effects)),
-        frozenset(posterior.space.families(chosen.effects)),
+        tuple(sorted(median_structure.effects)),
+        frozenset(posterior.space.families(median_structure.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
     )
-    return structure, evaluated.model, evaluated.phi
+    return structure, evaluated_structure.model, evaluated_structure.phi
 
 
 def _sum_log_evidences(
@@ -120,11 +120,11 @@ def estimate_shares(
     if not names:
         return pd.DataFrame(columns=EFFECT_COLUMNS[3:])
     # Rows: the structures of all devices in turn.
-    sets = [effects for device in devices for effects in device.log_evidence]
-    has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
+    effect_sets = [effects for device in devices for effects in device.log_evidence]
+    has_effect = np.array([[n in effects for n in names] for effects in effect_sets], dtype=float)
     log_evidence = np.array([v for device in devices for v in device.log_evidence.values()])
     lengths = np.array([len(device.log_evidence) for device in devices])
-    begins = np.cumsum(lengths) - lengths
+    starts = np.cumsum(lengths) - lengths
     priors = [[d.prior[n] for d in devices if n in d.prior] for n in names]
     # n_observable: number of devices whose readings could show the effect.
     n_observable, prior = np.array([*map(len, priors)]), np.array([np.mean(p) for p in priors])
@@ -135,10 +135,10 @@ def estimate_shares(
 
     def draw_effects(share: Float[np.ndarray, "e"]) -> Float[np.ndarray, "d e"]:
         """Draw a structure for each device; return a mask of the effects that it has."""
-        clipped = np.clip(share, MIN_SHARE, MAX_SHARE)
-        log_weight = log_evidence + has_effect @ (np.log(clipped) - np.log1p(-clipped))
+        clipped_share = np.clip(share, MIN_SHARE, MAX_SHARE)
+        log_weight = log_evidence + has_effect @ (np.log(clipped_share) - np.log1p(-clipped_share))
         log_weight += rng.gumbel(size=len(log_weight))  # the largest is then a draw by weight
-        is_drawn = log_weight == np.repeat(np.maximum.reduceat(log_weight, begins), lengths)
+        is_drawn = log_weight == np.repeat(np.maximum.reduceat(log_weight, starts), lengths)
         return has_effect[is_drawn]
 
     share, in_fleet = prior, np.ones(len(names), dtype=bool)
@@ -193,9 +193,9 @@ def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd
     expected number with it; `share`: their share, with its 95 % interval `low`, `high` if any device has it.
     """
     table = estimate_shares(structures, seed).rename_axis("effect").reset_index()
-    for column, sets in (("devices", "families"), ("possible", "possible")):
-        count = Counter(name for structure in structures for name in getattr(structure, sets))
-        table[column] = [count[name] for name in table["effect"]]
+    for column, attribute in (("devices", "families"), ("possible", "possible")):
+        counts = Counter(name for structure in structures for name in getattr(structure, attribute))
+        table[column] = [counts[name] for name in table["effect"]]
     is_found = (table[["devices", "possible"]] > 0).any(axis=1)
     table = table[is_found | (table["expected"] > MIN_EXPECTED_DEVICES)]
     order = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}

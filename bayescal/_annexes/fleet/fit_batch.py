@@ -80,14 +80,14 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
 
 def tailor_to_fleet(model: bc.Model, devices: Devices) -> bc.Model:
     """Adapt a model's instrument to the first device that allows it, with its own effects and noise in the model."""
-    general = tailored = model.instrument
-    for readings in devices if general.tailor is not None else ():
+    instrument = tailored = model.instrument
+    for readings in devices if instrument.tailor is not None else ():
         with suppress(bc.InputError):
-            tailored = general.for_readings(readings)
+            tailored = instrument.for_readings(readings)
             break
-    old, new = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, tailored))
+    old, new = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (instrument, tailored))
     effects = (new.get(e.name, e) if e == old.get(e.name) else e for e in model.effects)
-    noise = tailored.noise if model.noise == general.noise else model.noise
+    noise = tailored.noise if model.noise == instrument.noise else model.noise
     return bc.Model(tailored, tuple(effects), noise, model.fixed)
 
 
@@ -187,19 +187,19 @@ def _fit_and_compare(
     devices_by_effects = dict[tuple[str, ...], list[str]]()
     for name, structure in structures.items():
         if not structure.families <= probable_effects:
-            favoured = find_devices.find_favoured_effects(structure, effects)
-            devices_by_effects.setdefault(favoured, []).append(name)
-    for favoured, names in devices_by_effects.items():
-        refit = replace(request, model=add_effects(favoured), find=False)
-        text = ", ".join(added := refit.model.names[len(model.names) :]) or "none"
-        if probable_effects >= {*favoured} and len(added) == len(favoured):
+            effect_set = find_devices.find_favoured_effects(structure, effects)
+            devices_by_effects.setdefault(effect_set, []).append(name)
+    for effect_set, names in devices_by_effects.items():
+        refit = replace(request, model=add_effects(effect_set), find=False)
+        text = ", ".join(added_names := refit.model.names[len(model.names) :]) or "none"
+        if probable_effects >= {*effect_set} and len(added_names) == len(effect_set):
             fits = {f.device: f for f in fit_all(client, refit, devices.select(names)) if f.ok}
             results = tuple(fits.get(fit.device, fit) for fit in results)
             revisions |= {n: REVISED.format(", ".join(structures[n].effects), text) for n in fits}
     is_found = effects["in fleet"] >= ws.settings().found_probability
     common_model = add_effects([*effects["effect"][is_found]])
-    if shapes := _compute_median_shapes(common_model, model, results):
-        common_model = common_model.fix(shapes)
+    if median_shapes := _compute_median_shapes(common_model, model, results):
+        common_model = common_model.fix(median_shapes)
     t0, comparable_fits = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
     t0_differs = "T0" not in reference and t0.dropna().nunique() > 1
     if t0_differs:  # offsets are compared at one temperature

@@ -173,9 +173,9 @@ def _bind_jointly(
     if not (has_fixed_priors and is_determined and is_white):
         return None
     try:
-        stacked = bc.Frame(**_stack([*map(vars, frames)]))
-        constants = {n: v[:, None] for n, v in stacked.reference.items()}
-        frame = replace(stacked, reference=constants, max_gap=stacked.max_gap[:, None])
+        stacked_frame = bc.Frame(**_stack([*map(vars, frames)]))
+        constants = {n: v[:, None] for n, v in stacked_frame.reference.items()}
+        frame = replace(stacked_frame, reference=constants, max_gap=stacked_frame.max_gap[:, None])
         problem, single_problem = (
             ws.Problem(layout, ws.Record(model.instrument, f, f["output"]))
             for f in (frame, frames[0])

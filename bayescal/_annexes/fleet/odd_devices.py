@@ -90,8 +90,8 @@ def compute_p_values(
     p, mean = np.ones(len(values)), float("nan")
     if len(values) < MIN_DEVICES:
         return p, mean
-    rounding = np.finfo(float).eps * float(np.max(np.abs(values)))
-    variance = np.maximum(variance, max(rounding**2, 1e-200))
+    rounding_error = np.finfo(float).eps * float(np.max(np.abs(values)))
+    variance = np.maximum(variance, max(rounding_error**2, 1e-200))
     deviation = np.abs(values - np.median(values))
     is_inlier = deviation <= np.sort(deviation)[max(MIN_DEVICES, len(values) // 2 + 1) - 1]
     for _ in range(MAX_ITERATIONS):

@@ -22,8 +22,8 @@ def estimate_population(
 
     def score(tau2: float) -> float:  # derivative of 2·log likelihood with respect to τ²
         mean, weights = average(tau2)
-        squares = weights**2 @ (values - mean) ** 2
-        return float(squares - weights.sum() + weights @ weights / weights.sum())
+        weighted_squares = weights**2 @ (values - mean) ** 2
+        return float(weighted_squares - weights.sum() + weights @ weights / weights.sum())
 
     upper = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
     lower = 1e-12 * upper

@@ -90,17 +90,17 @@ def fit_cubic(offsets: RestOffsets, reference: float, low: float, high: float) -
     Raises:
         InputError: all readings in the range have one temperature.
     """
-    in_range = (offsets.temperature >= low) & (offsets.temperature <= high)
-    d, offset = offsets.temperature[in_range] - reference, offsets.offset[in_range]
+    is_in_range = (offsets.temperature >= low) & (offsets.temperature <= high)
+    d, offset = offsets.temperature[is_in_range] - reference, offsets.offset[is_in_range]
     n_distinct = len(np.unique(d))
     if n_distinct < 2:
         raise bc.InputError(
             f"between {low:.4g} and {high:.4g} °C the calibration has fewer than two temperatures, too few for a "
             "polynomial: calibrate over a temperature range"
         )
-    fitted = np.polynomial.Polynomial.fit(d, offset, min(MAX_DEGREE, n_distinct - 1)).convert()
+    polynomial = np.polynomial.Polynomial.fit(d, offset, min(MAX_DEGREE, n_distinct - 1)).convert()
     coefficients = np.zeros(MAX_DEGREE + 1, np.float32)
-    coefficients[: len(fitted.coef)] = fitted.coef
+    coefficients[: len(polynomial.coef)] = polynomial.coef
     residuals = offset - np.polynomial.Polynomial(coefficients.astype(float))(d)
     errors = float(np.sqrt(np.mean(residuals**2))), float(np.abs(residuals).max())
     values = tuple(map(float, coefficients))
@@ -235,11 +235,11 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
         message = f"{axis}: firmware corrects by temperature, but the calibration has no column 'temperature'"
         raise bc.InputError(message)
     program, zero_input = compensator.program, np.zeros(len(calibration.readings))
-    (expected,) = program.graph.evaluate(
+    (offset,) = program.graph.evaluate(
         (program.equation.expected,), {**inputs, ws.STIMULUS: zero_input}
     )
-    expected = np.broadcast_to(expected, zero_input.shape)
-    _, sd, slope = program.run(expected, inputs)
+    offset = np.broadcast_to(offset, zero_input.shape)
+    _, sd, slope = program.run(offset, inputs)
     sd = sd / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
     noise_variance = compensator.in_use.noise_variance(zero_input, inputs)
     try:
@@ -251,7 +251,7 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
         ) from None
     return RestOffsets(
         temperature=np.asarray(inputs["temperature"], float),
-        offset=factor * expected,
+        offset=factor * offset,
         unit=axis.unit,
         noise=float(factor * np.sqrt(np.mean(noise_variance))),
         uncertainty=float(factor * np.sqrt(np.mean(sd**2))),
@@ -430,13 +430,13 @@ def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compens
 
 def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
-    loaded = cmd.load_corrections(ws.expand_channels(cmd.calibrations, ws.CALIBRATION))
-    if loaded and not isinstance(loaded[0][1], bc.Compensator):
+    corrections = cmd.load_corrections(ws.expand_channels(cmd.calibrations, ws.CALIBRATION))
+    if corrections and not isinstance(corrections[0][1], bc.Compensator):
         cmd.refuse_unused("axis", "device_id", "local_gravity", subject=" of three axes")
-        return cmd.write_corrections([compensator for _, compensator in loaded])
+        return cmd.write_corrections([compensator for _, compensator in corrections])
     if cmd.format_ == "ardupilot-params":
         cmd.refuse_unused("device_id")
-    compensators = _sort_by_axis(loaded, cmd)
+    compensators = _sort_by_axis(corrections, cmd)
     devices = dict[str, int]()
     for name, value in ws.parse_pairs(cmd.device_id, "--device-id").items():
         if not value.isdecimal():

@@ -136,22 +136,22 @@ class ImuCommand(TriadOptions, ws.Command):
     def read_logs(self) -> list[tuple[bc.Instrument, bc.Measurements]]:
         """Read the columns of each triad from the log; raise one InputError with the errors of both triads."""
         logs, problems = [], ws.Objections()
-        for sensors, name in INSTRUMENT_NAMES.items():
+        for kind, name in INSTRUMENT_NAMES.items():
             instrument, options = ws.instrument_named(name), self.read_options()
-            names = ws.split_names(text := getattr(self, sensors))
+            names = ws.split_names(text := getattr(self, kind))
             if len(names) not in (0, 3):
                 advice = f"give three columns, such as ax,ay,az, not {len(names)}"
-                raise bc.InputError(f"--{sensors} {text!r}: {advice}")
+                raise bc.InputError(f"--{kind} {text!r}: {advice}")
             options["columns"] = dict(zip(OUTPUTS, names, strict=False)) | options["columns"]
             try:
                 logs.append((instrument, bc.read(self.files, instrument, **options)))
             except bc.InputError as error:
                 unit = instrument.unit
-                predicate = f"has no three columns with common names of {sensors} and a unit convertible to {unit}"
-                example = ws.option(f"--{sensors}", "X,Y,Z")
+                fault = f"has no three columns with common names of {kind} and a unit convertible to {unit}"
+                example = ws.option(f"--{kind}", "X,Y,Z")
                 remedy = f"Name them ({example}), or use a log that has them"
                 if {*OUTPUTS} <= {p.column for p in error.problems}:
-                    problems += [ws.Objection(self.files[0].name, predicate, cure=remedy)]
+                    problems += [ws.Objection(self.files[0].name, fault, cure=remedy)]
                 else:
                     problems += error.problems or [ws.Objection("", str(error))]
         problems.refuse()

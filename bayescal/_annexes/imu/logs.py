@@ -150,8 +150,8 @@ def _read_messages(log: Any, name: str) -> np.ndarray:
     dtypes = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     row_type = np.dtype(list(zip(layout.columns, dtypes, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)
-    begin = len(MESSAGE_HEADER) + 1
-    raw_bytes = content[offsets[:, None] + np.arange(begin, begin + row_type.itemsize)]
+    header_size = len(MESSAGE_HEADER) + 1
+    raw_bytes = content[offsets[:, None] + np.arange(header_size, header_size + row_type.itemsize)]
     del content  # else the map of the file cannot be closed
     return raw_bytes.view(row_type)[:, 0]
 
@@ -227,10 +227,10 @@ def open_log(path: Path, file: str, channel_names: Collection[str]) -> ws.Table:
     except ModuleNotFoundError:
         reason = f"is a {title}: install the package {package} to read it"
         raise ws.unusable(file, reason, "pip install 'bayescal[logs]'") from None
-    printed = io.StringIO()  # libraries print; standard output is the command's own
-    with ws.as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
+    output = io.StringIO()  # libraries print; standard output is the command's own
+    with ws.as_format(file, title), redirect_stdout(output), redirect_stderr(output):
         sensors, notes = read_log(path)
-    lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
+    lines = [x for x in output.getvalue().splitlines() if "dfindexer" not in x.lower()]
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
     columns, column_notes = align_channels(sensors, channel_names, file)
     notes = (*(f"{file}: {note}" for note in notes), *column_notes)

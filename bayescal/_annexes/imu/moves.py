@@ -109,9 +109,9 @@ def moves(
     unit = float(np.asarray(ws.convert(np.ones(1), instrument.unit, "rad/s"))[0])
     f_runs = split_runs(forces, correction.outputs, min_duration)
     gyro_runs = split_runs(log, instrument.vector.outputs, min_duration, unit)
-    if missing := sorted(gyro_runs.keys() - f_runs.keys()):
+    if missing_runs := sorted(gyro_runs.keys() - f_runs.keys()):
         raise bc.InputError(
-            f"{forces.file} lacks the run {missing[0]!r} of {log.file}: log gyroscopes and accelerometers together"
+            f"{forces.file} lacks the run {missing_runs[0]!r} of {log.file}: log gyroscopes and accelerometers together"
         )
     tables = list[dict[str, np.ndarray]]()
     pose_count, outliers = 0, list[str]()
@@ -163,8 +163,8 @@ class _Moves(NamedTuple):
 
 def _correct_forces(f_run: LoggedRun, correction: VectorCorrection) -> Float[np.ndarray, "n 3"]:
     """Return the corrected specific force of each sample, g, computed in blocks to limit memory."""
-    count, logged = len(f_run.time), f_run.temperature
-    temperature = correction.default_temperature if logged is None else logged
+    count, log_values = len(f_run.time), f_run.temperature
+    temperature = correction.default_temperature if log_values is None else log_values
     temperature = np.broadcast_to(temperature, count)
     blocks = np.array_split(np.arange(count), 1 + count // SAMPLES_PER_BLOCK)
     parts = (correction(f_run.outputs[rows], temperature[rows], noise=0.0) for rows in blocks)
@@ -232,8 +232,8 @@ def _fit_run(
     poses = _Poses(outputs, windows, force, force_cov, white_variance, prior_mean)
     samples = _cut_moves(log, windows, f_run, _correct_forces(f_run, correction))
     max_outliers = max(1, int(MAX_OUTLIER_FRACTION * len(samples.rate)))
-    origin, outliers = poses.prior_mean[:N_INTEGRATED], frozenset[int]()
-    closure = _integrate_moves(samples, force, origin)
+    prior_parameters, outliers = poses.prior_mean[:N_INTEGRATED], frozenset[int]()
+    closure = _integrate_moves(samples, force, prior_parameters)
     for _ in range(MAX_ITERATIONS):
         linear_model = _LinearModel.build(poses, closure, outliers)
         fit = linear_model.estimate_variances()
@@ -242,9 +242,9 @@ def _fit_run(
         cov = linear_model.covariance(fit.bias_variance, fit.angle_variance)
         max_rss = MAX_RSS_RATIO * linear_model.weighted_rss(fit, cov)
         for _ in range(MAX_STEP_HALVINGS if step_size >= XTOL_SD else 0):
-            candidate = _integrate_moves(samples, force, closure.parameters + step)
-            if _LinearModel.build(poses, candidate, outliers).weighted_rss(fit, cov) < max_rss:
-                closure = candidate
+            trial_closure = _integrate_moves(samples, force, closure.parameters + step)
+            if _LinearModel.build(poses, trial_closure, outliers).weighted_rss(fit, cov) < max_rss:
+                closure = trial_closure
                 break
             step = 0.5 * step
         else:  # converged; or the closure error of one move is too large to be linearised
@@ -257,7 +257,7 @@ def _fit_run(
                     f"more than {max_outliers} of {len(samples.rate)} moves are outliers, inconsistent with the other "
                     f"moves. {MOVES_ADVICE}"
                 )
-    deviation = np.max(np.abs(closure.parameters - origin)[3:])
+    deviation = np.max(np.abs(closure.parameters - prior_parameters)[3:])
     if step_size >= XTOL_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
             "the outputs integrated over the moves are inconsistent with the poses for any matrix: make smaller turns "
@@ -432,36 +432,36 @@ def _integrate_moves(
     """Integrate the gyro outputs of moves with bias and matrix (`parameters`); return closure errors and Jacobians."""
     bias, matrix = parameters[:3], parameters[3:].reshape(3, 3)
     rate, rotations = _integrate_attitude(samples, matrix, bias)
-    size, m, to_start = np.linalg.norm(force, axis=1), len(rate), rotations[:, -1]
+    magnitude, m, rotations_to_start = np.linalg.norm(force, axis=1), len(rate), rotations[:, -1]
     pose_rotations = [np.eye(3)]
-    for rotation in to_start:
+    for rotation in rotations_to_start:
         pose_rotations.append(pose_rotations[-1] @ rotation)
-    up = force / size[:, None]
+    up = force / magnitude[:, None]
     q = np.stack(build_tangents(up[1:]), axis=1)  # (m, 2, 3)
-    start_q = np.einsum("mij,mkj->mki", to_start, q)  # q in the axes of the pose before
+    start_q = np.einsum("mij,mkj->mki", rotations_to_start, q)  # q in the axes of the pose before
     residual = np.einsum("mkj,mj->mk", q, up[1:]) - np.einsum("mkj,mj->mk", start_q, up[:-1])
     normal, duration = np.cross(q, up[1:, None, :]), samples.duration[:, None, None]
-    start_normal = np.einsum("mij,mkj->mki", to_start, normal)
+    start_normal = np.einsum("mij,mkj->mki", rotations_to_start, normal)
     a = -np.einsum("mnji,mkj->mkni", rotations, start_normal) @ np.linalg.inv(matrix)
     a = a / duration[..., None]
-    weighted = a * samples.weight[:, None, :, None]
+    weighted_a = a * samples.weight[:, None, :, None]
     design = [
-        weighted.sum(axis=2),
-        np.einsum("mkna,mnj->mkaj", weighted, rate).reshape(m, 2, 9),
-        np.einsum("mkna,mnj->mkaj", weighted, samples.force).reshape(m, 2, 9),
-        np.einsum("mkna,mna->mka", weighted, rate**2),
+        weighted_a.sum(axis=2),
+        np.einsum("mkna,mnj->mkaj", weighted_a, rate).reshape(m, 2, 9),
+        np.einsum("mkna,mnj->mkaj", weighted_a, samples.force).reshape(m, 2, 9),
+        np.einsum("mkna,mna->mka", weighted_a, rate**2),
         -np.einsum("mij,mkj->mki", np.array(pose_rotations[1:]), normal),
     ]
     slopes = np.zeros((m, 2, len(force), 3))
     move = np.arange(m)
-    slopes[move, :, move + 1] = q / size[1:, None, None] / duration
-    slopes[move, :, move] = -start_q / size[:-1, None, None] / duration
+    slopes[move, :, move + 1] = q / magnitude[1:, None, None] / duration
+    slopes[move, :, move] = -start_q / magnitude[:-1, None, None] / duration
     return _Closure(
         parameters,
         (residual / duration[..., 0]).ravel(),
         np.concatenate(design, axis=2).reshape(2 * m, -1),
         slopes.reshape(2 * m, -1),
-        np.einsum("mkna,mlna->mkl", weighted, a),
+        np.einsum("mkna,mlna->mkl", weighted_a, a),
         samples.duration,
         np.einsum("mn,mnj->mj", samples.weight, samples.force) / samples.duration[:, None],
         np.array(pose_rotations),

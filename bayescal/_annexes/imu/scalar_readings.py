@@ -56,13 +56,13 @@ def convert_to_scalar_readings(
     problem = f"columns {', '.join(instrument.outputs)}: all three are zero: remove the row"
     lengths = _require_lengths(outputs, problem, file)
     columns = [*ws.DIRECTION, POSE_UNCERTAINTY]
-    missing = [column for column in columns if column not in values]
-    if missing == columns:
+    missing_columns = [column for column in columns if column not in values]
+    if missing_columns == columns:
         return {**values, "output": lengths}, units, flags
-    if missing:
+    if missing_columns:
         raise bc.InputError(
-            f"{file}: a known direction needs {', '.join(columns)}, but {', '.join(missing)} is missing: add it, or "
-            "remove the others to calibrate with unknown directions"
+            f"{file}: a known direction needs {', '.join(columns)}, but {', '.join(missing_columns)} is missing: "
+            "add it, or remove the others to calibrate with unknown directions"
         )
     return *_convert_poses(outputs, lengths, values, units, file), flags
 

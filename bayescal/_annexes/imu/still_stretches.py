@@ -67,10 +67,10 @@ def find_static_segments(
     is_static = np.all(scatter <= limit, axis=1)
     has_moved = np.any(np.abs(np.diff(mean, axis=0)) > limit, axis=1)
     labels = np.cumsum(np.concatenate([[True], has_moved | (is_static[1:] != is_static[:-1])]))
-    begins, counts = ws.equal_runs(labels)
-    is_segment = is_static[begins] & (counts > 2)
+    starts_of_parts, counts = ws.equal_runs(labels)
+    is_segment = is_static[starts_of_parts] & (counts > 2)
     # Without the end blocks, in which a move may begin or end.
-    starts, stops = begins[is_segment] + 1, (begins + counts)[is_segment] - 1
+    starts, stops = starts_of_parts[is_segment] + 1, (starts_of_parts + counts)[is_segment] - 1
     durations = np.round((stops - starts) * size * step, 6)  # rounded: 5 steps of 1/20 s are 0.25 s
     if min_duration is None:
         is_brief = np.mean(durations[durations >= BRIEF_POSE_S] < POSE_S) > MIN_BRIEF_FRACTION
@@ -85,8 +85,8 @@ def find_static_segments(
     starts, stops = starts[is_long], stops[is_long]
     ranges = list(zip(starts.tolist(), stops.tolist(), strict=True))
     # With much noise, moves begin undetected in the outer blocks, whose means then differ by more than noise.
-    inner = [(a + 1, b - 1) for a, b in ranges if b - a >= MIN_INNER_BLOCKS + 2] or ranges
-    block_means = [mean[a:b] for a, b in inner]
+    inner_ranges = [(a + 1, b - 1) for a, b in ranges if b - a >= MIN_INNER_BLOCKS + 2] or ranges
+    block_means = [mean[a:b] for a, b in inner_ranges]
     dof = sum(len(means) - 1 for means in block_means) * mean.shape[1]
     variance = sum(float(np.sum((m - m.mean(axis=0)) ** 2)) for m in block_means) / dof
     return StaticSegments(
@@ -155,8 +155,8 @@ def build_readings(
     columns: dict[str, np.ndarray], instrument: bc.Instrument, log: bc.Measurements
 ) -> bc.Measurements:
     """Build an instrument's readings from columns of a log; columns that it does not declare keep the log's units."""
-    declared = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
-    units = {n: str(log.unit(n)) for n in columns if n not in declared and log.unit(n)}
+    declared_names = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
+    units = {n: str(log.unit(n)) for n in columns if n not in declared_names and log.unit(n)}
     arguments: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
     return bc.Measurements.from_arrays(instrument, **arguments)
 

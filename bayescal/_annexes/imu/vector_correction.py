@@ -135,7 +135,8 @@ class VectorCorrection:
             "terms: offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows"
         )
         data = {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
-        return {JSON_KEYS.get(name, name): value for name, value in data.items()}
+        keys = {name: name for name in data} | JSON_KEYS
+        return {keys[name]: value for name, value in data.items()}
 
     @property
     def range(self) -> tuple[float, float]:
@@ -175,7 +176,7 @@ class VectorCorrection:
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> VectorCorrection:
         """Return the correction with the data of `to_json_data`; unknown entries are ignored."""
-        data = data | {name: data[key] for name, key in JSON_KEYS.items()}
+        data = {**data, **{name: data[key] for name, key in JSON_KEYS.items()}}
         data |= {name: np.array(data[name]) for name in ("terms", "covariance")}
         return cls(**{f.name: data[f.name] for f in fields(cls)})
 
@@ -239,8 +240,8 @@ class VectorCorrection:
         sd = self.noise if noise is None else noise
         covariance = slope @ cov @ slope.mT + sd**2 * inverse @ inverse.mT
         low, high = self.range
-        outside = (temperatures < low) | (temperatures > high)
-        return CorrectedVector(vector, covariance, self.unit, outside)
+        is_outside = (temperatures < low) | (temperatures > high)
+        return CorrectedVector(vector, covariance, self.unit, is_outside)
 
     def correct_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
@@ -299,9 +300,9 @@ class VectorCorrection:
         terms = self.powers(temperatures) @ self.terms
 
         def linearise(f: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-            predicted = differentiate_by_terms(f, self.order, g) @ terms[..., None]
+            expected = differentiate_by_terms(f, self.order, g) @ terms[..., None]
             slopes = _differentiate_by_input(terms, f, self.order)
-            return predicted[..., 0], lambda r: np.linalg.solve(slopes, r[..., None])[..., 0]
+            return expected[..., 0], lambda r: np.linalg.solve(slopes, r[..., None])[..., 0]
 
         f = ws.iterate_newton(linearise, y, y, NEWTON_STEPS)
         inverse = np.linalg.inv(_differentiate_by_input(terms, f, self.order))
@@ -356,7 +357,7 @@ def list_terms(
 
 
 def differentiate_by_terms(
-    stimulus: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
+    stimulus: Float[np.ndarray, "n 3"], order: int, secondary_input: Float[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "n 3 p"]:
     """Return the Jacobian of the three outputs with respect to a correction's terms up to an order in the input."""
 
@@ -367,7 +368,7 @@ def differentiate_by_terms(
     blocks = [np.broadcast_to(np.eye(3), (len(stimulus), 3, 3)), expand(stimulus)]
     blocks += [expand(stimulus[:, FIRST_AXES] * stimulus[:, SECOND_AXES])] if order > 1 else []
     blocks += [stimulus[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
-    blocks += [] if secondary is None else [expand(secondary)]
+    blocks += [] if secondary_input is None else [expand(secondary_input)]
     return np.concatenate(blocks, axis=2)
 
 
@@ -377,9 +378,9 @@ def _differentiate_by_input(
     """Return H, the Jacobian of the three outputs with respect to the input vector."""
     slopes = terms[:, 3:12].reshape(-1, 3, 3)
     if order > 1:
-        second = terms[:, 12:30].reshape(-1, 3, 6)
-        slopes = slopes + second * stimulus[:, None, SECOND_AXES] @ np.eye(3)[FIRST_AXES]
-        slopes = slopes + second * stimulus[:, None, FIRST_AXES] @ np.eye(3)[SECOND_AXES]
+        quadratic = terms[:, 12:30].reshape(-1, 3, 6)
+        slopes = slopes + quadratic * stimulus[:, None, SECOND_AXES] @ np.eye(3)[FIRST_AXES]
+        slopes = slopes + quadratic * stimulus[:, None, FIRST_AXES] @ np.eye(3)[SECOND_AXES]
     if order > 2:
         slopes = slopes + (3 * terms[:, 30:33] * stimulus**2)[:, :, None] * np.eye(3)
     return slopes

@@ -48,9 +48,9 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     if (vector := instrument.vector) is None:
         message = f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         raise bc.ModelError(message)
-    effects = calibration.model.effects
-    unneeded = {TEMPERATURE, *vector.secondary_columns} - calibration.usual_columns
-    calibration = calibration.with_columns(set().union(*(e.columns for e in effects)) - unneeded)
+    columns = set().union(*(e.columns for e in calibration.model.effects))
+    columns -= {TEMPERATURE, *vector.secondary_columns} - calibration.usual_columns
+    calibration = calibration.with_columns(columns)
     model, readings = calibration.model, calibration.readings
     used_columns = set().union(*(e.columns for e in model.effects))
     names = vector.secondary_columns
@@ -64,12 +64,12 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     samples = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(MAX_DEGREE, len(grid) - 1) + 1):
         powers = np.vander(grid - reference, order + 1, increasing=True)
-        fitted = np.linalg.lstsq(powers, samples)[0]
-        residuals = samples - powers @ fitted
+        coefficients = np.linalg.lstsq(powers, samples)[0]
+        residuals = samples - powers @ coefficients
         if np.max(np.abs(residuals)) <= POLYNOMIAL_RTOL * np.max(np.abs(taylor)):
             residuals = np.zeros_like(residuals)
             break
-    terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
+    terms = np.moveaxis(coefficients.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
     residuals = residuals.reshape(len(grid) * len(taylor), -1)
     max_powers = np.max(np.abs(powers), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * max_powers <= ROUNDING * np.max(np.abs(taylor))] = 0.0
@@ -201,8 +201,8 @@ def _expand_draws(
     slots, contributions = _sum_slots(calibration, problem)
     count = len(next(iter(slots.values())))
     series = np.asarray(_expand_equation(vector, slots, problem.record.frame))
-    series, shifted = series[:, :size], series[:, size:, :3].reshape(count, -1, size, 3)
-    sensitivity = np.moveaxis(shifted - series[:, None, :, :3], 1, 3).reshape(count, size, -1)
+    series, secondary = series[:, :size], series[:, size:, :3].reshape(count, -1, size, 3)
+    sensitivity = np.moveaxis(secondary - series[:, None, :, :3], 1, 3).reshape(count, size, -1)
     return np.concatenate([series, sensitivity], axis=2), contributions
 
 

@@ -74,10 +74,10 @@ class Certificate:
 
     def require(self, *keys: str) -> None:
         """Require keys such as "device.serial"; raise InputError with all missing keys."""
-        if missing := [n for n in keys if not self.get(*n.split("."))]:
+        if absent_keys := [n for n in keys if not self.get(*n.split("."))]:
             raise bc.InputError(
-                f"{self.file} does not state {', '.join(missing)}, which a digital calibration certificate needs: "
-                "add " + "; ".join(f"[{s}] {k} = …" for s, k in (n.split(".") for n in missing))
+                f"{self.file} does not state {', '.join(absent_keys)}, which a digital calibration certificate needs: "
+                "add " + "; ".join(f"[{s}] {k} = …" for s, k in (n.split(".") for n in absent_keys))
             )
 
     def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
@@ -109,13 +109,13 @@ def read_certificate(path: str | Path) -> Certificate:
             expected text or date; the message names section and key.
     """
     path = Path(path)
-    stated = ws.read_toml(path, CertificateStatement, f"{str(path)!r}", REMEDY)
-    if not stated:
+    data = ws.read_toml(path, CertificateStatement, f"{str(path)!r}", REMEDY)
+    if not data:
         raise bc.InputError(f"{str(path)!r} is empty: write [device], name = and serial =")
-    begin, end = (stated.get("calibration", {}).get(k) for k in ("begin", "end"))
+    begin, end = (data.get("calibration", {}).get(k) for k in ("begin", "end"))
     if begin and end and end < begin:
         raise bc.InputError(f"{str(path)!r}, [calibration]: end ({end}) is before begin ({begin})")
-    return Certificate(stated, path.name)
+    return Certificate(data, path.name)
 
 
 SCHEMA_VERSION = "3.2.1"
@@ -234,9 +234,9 @@ def format_dsi(
         interval = {"standardUnc": _round_value(sd, sd), "intervalMin": low, "intervalMax": high}
         interval["coverageProbability"] = "0.95"
         return number._replace(form="coverageInterval", elements=interval)
-    expanded = {"uncertainty": _round_value(k * sd, k * sd), "coverageFactor": f"{k:g}"}
-    expanded |= {"coverageProbability": f"{COVERAGE:g}", "distribution": "normal"}
-    return number._replace(form="expandedUnc", elements=expanded)
+    elements = {"uncertainty": _round_value(k * sd, k * sd), "coverageFactor": f"{k:g}"}
+    elements |= {"coverageProbability": f"{COVERAGE:g}", "distribution": "normal"}
+    return number._replace(form="expandedUnc", elements=elements)
 
 
 D_SI = {  # unit → unit in D-SI

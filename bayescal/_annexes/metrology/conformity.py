@@ -205,8 +205,8 @@ class DrawnQuantity:
     @property
     def estimate(self) -> tuple[float, float]:
         """Return the lowest and highest posterior mean over the range."""
-        middle = self.values.mean(axis=0)
-        return float(middle.min()), float(middle.max())
+        means = self.values.mean(axis=0)
+        return float(means.min()), float(means.max())
 
     @property
     def uncertainty(self) -> float:
@@ -230,8 +230,8 @@ class DrawnQuantity:
         if self.scores is not None:
             pairs = list(enumerate(self.scores))
             z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in pairs]) for e in z)
-        below, above = map(ndtr, z)
-        return float(np.min(np.mean(above - below, axis=0)))
+        lower_probability, upper_probability = map(ndtr, z)
+        return float(np.min(np.mean(upper_probability - lower_probability, axis=0)))
 
     def probability_error(self, p: float) -> float:
         """Return the Monte-Carlo standard error of a probability; an upper bound for readings with scatter."""
@@ -245,15 +245,15 @@ def find_acceptance(quantity: DrawnQuantity, limits: Limits, false_accept: float
     # p_c is zero below the first shift, where all draws are below T_L, and above the last.
     low = limits.low - float(quantity.values.min(axis=1).max()) - margin
     high = limits.high - float(quantity.values.max(axis=1).min()) + margin
-    best = _find_best_shift(quantity, limits, low, high)
+    best_shift = _find_best_shift(quantity, limits, low, high)
 
     def accepts(shift: float) -> bool:
         return quantity.probability(limits, shift) >= 1.0 - false_accept
 
-    if not accepts(best):
+    if not accepts(best_shift):
         return None
     bounds = low, high
-    lower, upper = (e if np.isinf(e) else bisect(accepts, best, e, EDGE_RTOL) for e in bounds)
+    lower, upper = (e if np.isinf(e) else bisect(accepts, best_shift, e, EDGE_RTOL) for e in bounds)
     return Limits(quantity.estimate[0] + lower, quantity.estimate[1] + upper)
 
 
@@ -300,12 +300,12 @@ def compute_global_risks(
         distribution = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
         return float(distribution.cdf(bounds[1], lower_limit=bounds[0]))
 
-    conforming = compute_probability(tolerance_limits, Limits(-np.inf, np.inf))
+    conformity = compute_probability(tolerance_limits, Limits(-np.inf, np.inf))
     correct_acceptance = compute_probability(tolerance_limits, acceptance_limits)
-    outside = Limits(-np.inf, tolerance_limits.low), Limits(tolerance_limits.high, np.inf)
-    false_acceptance = sum(compute_probability(items, acceptance_limits) for items in outside)
-    risks = false_acceptance, conforming - correct_acceptance
-    return GlobalRisks(conforming, correct_acceptance + false_acceptance, *risks)
+    tails = Limits(-np.inf, tolerance_limits.low), Limits(tolerance_limits.high, np.inf)
+    false_acceptance = sum(compute_probability(items, acceptance_limits) for items in tails)
+    risks = false_acceptance, conformity - correct_acceptance
+    return GlobalRisks(conformity, correct_acceptance + false_acceptance, *risks)
 
 
 READING, MEAN = "corrected reading", "corrected mean"
@@ -407,20 +407,20 @@ def find_quantity(
             "unknown"
         )
     unit = slots.get(limit.quantity, compensator.unit)
-    point = compensator.middle
+    operating_point = compensator.middle
     spans, undecided_reasons, notes = [], [], []
     for span in limit.ranges:
         name, low, high = _resolve_range(compensator, span, limit, local_gravity)
         undecided_reasons += _check_range(compensator, name, low, high)
-        if name not in point:
+        if name not in operating_point:
             notes.append(f"{limit.quantity} does not depend on {name}.")
         spans.append((name, low, high))
-    n_varied = sum(high > low and name in point for name, low, high in spans)
+    n_varied = sum(high > low and name in operating_point for name, low, high in spans)
     if n_varied > max(GRID_SIZES):
         raise bc.InputError(f"limit {limit.text!r} has more than {max(GRID_SIZES)} ranges")
-    axes = {n: np.array([value]) for n, value in point.items()}
+    axes = {n: np.array([value]) for n, value in operating_point.items()}
     for name, low, high in spans:
-        if name in point:
+        if name in operating_point:
             axes[name] = np.linspace(low, high, GRID_SIZES[n_varied] if high > low else 1)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     points = {n: values.ravel() for n, values in zip(axes, grid, strict=True)}
@@ -463,8 +463,8 @@ def _convert_ends(
     """Return the ends of a span of `name` in a unit; raise InputError if the span is of another dimension."""
     units = span.unit or "1", unit or "1"
     if not ws.same_dimension(*units):
-        stated, expected = (ws.unit_label(u) or "plain numbers" for u in units)
-        raise bc.InputError(f"limit {limit.text!r}: {name} is in {expected}, not in {stated}")
+        stated_unit, expected = (ws.unit_label(u) or "plain numbers" for u in units)
+        raise bc.InputError(f"limit {limit.text!r}: {name} is in {expected}, not in {stated_unit}")
     return ws.convert(np.array([span.low, span.high]), *units, **options).tolist()
 
 
@@ -542,13 +542,13 @@ def convert_population(
     quantity: LimitedQuantity, devices: DevicePopulation
 ) -> tuple[float, float] | None:
     """Return a population's mean and sd in the quantity's unit; None if the population is of another quantity."""
-    unit, target = devices.unit or "1", quantity.unit or "1"
+    unit, target_unit = devices.unit or "1", quantity.unit or "1"
     is_over_range = any(r.high > r.low for r in quantity.limit.ranges)
-    if quantity.is_error or is_over_range or not ws.same_dimension(unit, target):
+    if quantity.is_error or is_over_range or not ws.same_dimension(unit, target_unit):
         return None
-    sd = float(ws.convert(devices.sd, unit, target, difference=True))
+    sd = float(ws.convert(devices.sd, unit, target_unit, difference=True))
     if devices.mean is not None:
-        return float(ws.convert(devices.mean, unit, target, difference=True)), sd
+        return float(ws.convert(devices.mean, unit, target_unit, difference=True)), sd
     low, high = quantity.limits
     ends = [end for end in (low, high) if np.isfinite(end)]
     return (float(np.mean(ends)), sd) if len(ends) == 2 else None

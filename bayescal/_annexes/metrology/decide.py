@@ -71,8 +71,8 @@ class Recalibration:
         if self.after == 0:
             return f"the probability of conformity is already below {self.stated:g}"
         date = f", {self.date}" * bool(self.date)
-        when = f"{format_duration(self.after)} after the last reading{date}"
-        return f"the probability of conformity falls below {self.stated:g} {when}"
+        time_text = f"{format_duration(self.after)} after the last reading{date}"
+        return f"the probability of conformity falls below {self.stated:g} {time_text}"
 
 
 def compute_recalibration(
@@ -89,15 +89,15 @@ def compute_recalibration(
     delay = find_first_below(probability, threshold)
     change = quantity.draw(HORIZON_S if delay is None else delay).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
-    if unmeasured := ws.find_prior_dominance(calibration, change, max_inclusion=1 - threshold):
+    if prior_dominance := ws.find_prior_dominance(calibration, change, max_inclusion=1 - threshold):
 
         def likelihood_probability(delay: float) -> float:
             draws = quantity.draw(delay)
-            values = unmeasured.update_by_readings(calibration, draws.values)
+            values = prior_dominance.update_by_readings(calibration, draws.values)
             return replace(draws, values=values).probability(limits)
 
         if delay is not None or find_first_below(likelihood_probability, threshold) is not None:
-            reason = f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
+            reason = f"{NOT_DETERMINED}: {prior_dominance}. {prior_dominance.cure}"
             return Recalibration(threshold, None, why_not=reason, notes=(ADVICE,))
     if delay is None:
         reason = f"not due within {HORIZON_S / YEAR_S:g} years at the modelled drift rate"
@@ -109,10 +109,10 @@ def compute_recalibration(
             f"The drift is extrapolated to {delay / span:.0f} times the {format_duration(span)} of the record, at a "
             "constant drift rate: shorten the calibration interval to verify it."
         )
-    since, date = calibration.readings.since, None
-    if since is not None:
-        begin = datetime.fromtimestamp(since, UTC)
-        date = (begin + timedelta(seconds=float(time.max()) + delay)).date().isoformat()
+    start_time, date = calibration.readings.since, None
+    if start_time is not None:
+        start_date = datetime.fromtimestamp(start_time, UTC)
+        date = (start_date + timedelta(seconds=float(time.max()) + delay)).date().isoformat()
     return Recalibration(threshold, delay, date, notes=tuple(notes))
 
 
@@ -121,11 +121,11 @@ def find_first_below(probability: Callable[[float], float], limit: float) -> flo
 
     A temporary decrease between two successive times of the grid (ratio 1.13) is not detected.
     """
-    previous = 0.0
+    last_time = 0.0
     for time in (0.0, *np.geomspace(FIRST_TIME_S, HORIZON_S, N_TIMES).tolist()):
         if probability(time) < limit:
-            return time and bisect(lambda t: probability(t) >= limit, previous, time, TIME_RTOL)
-        previous = time
+            return time and bisect(lambda t: probability(t) >= limit, last_time, time, TIME_RTOL)
+        last_time = time
     return None
 
 
@@ -209,8 +209,8 @@ class Decisions(ws.Printed):
     @property
     def doubt(self) -> str:
         """Return a message with the limits that are not met or undecided; empty if all are met."""
-        failed = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
-        return f"not shown to conform: {', '.join(failed)}" * bool(failed)
+        unmet_limits = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
+        return f"not shown to conform: {', '.join(unmet_limits)}" * bool(unmet_limits)
 
     def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
         """Build a report's foreword with the decisions; they are withheld if a chapter's verdict is negative."""
@@ -425,13 +425,13 @@ def _build_decision(
     draws, limits = quantity.draw(), quantity.limits
     p = draws.probability(limits)
     guarded = find_acceptance(draws, limits, false_accept)
-    accepted = guarded if rule == "guarded" else limits
+    acceptance_interval = guarded if rule == "guarded" else limits
     decision, why = _decide_limit(calibration, quantity, draws, p, rule, false_accept)
     uncertainty, notes = draws.uncertainty, list(quantity.notes)
     mean, u = draws.values.mean(axis=0), np.hypot(draws.values.std(axis=0), draws.scatter)
     i = int(np.argmin(np.minimum(limits.high - mean, mean - limits.low) - 2 * u))
     worst_points = {name: values[i : i + 1] for name, values in quantity.points.items()}
-    interval = accepted or Limits(math.inf, math.inf)  # empty if no estimate is accepted
+    interval = acceptance_interval or Limits(math.inf, math.inf)  # empty if no estimate is accepted
     moments = None if devices is None else convert_population(quantity, devices)
     if devices is not None and moments is None:
         notes.append(
@@ -450,7 +450,7 @@ def _build_decision(
         probability=p,
         probability_error=draws.probability_error(p),
         guard_bands=guarded and (guarded.low - limits.low, limits.high - guarded.high),
-        accepted=accepted,
+        accepted=acceptance_interval,
         decision=decision,
         why=why,
         risk={ACCEPT: 1 - p, REJECT: p}.get(decision),
@@ -478,12 +478,12 @@ def _decide_limit(
     if quantity.undecided_reasons:
         return UNDECIDED, "; ".join(quantity.undecided_reasons)
     options = {"name": quantity.limit.quantity, "sd": draws.scatter, "max_inclusion": false_accept}
-    if unmeasured := ws.find_prior_dominance(calibration, draws.values, **options):
-        values, risk = unmeasured.update_by_readings(calibration, draws.values), false_accept
+    if prior_dominance := ws.find_prior_dominance(calibration, draws.values, **options):
+        values, risk = prior_dominance.update_by_readings(calibration, draws.values), false_accept
         q = replace(draws, values=values).probability(limits)  # with the likelihood alone
         is_same = (p >= 1 - risk) == (q >= 1 - risk) and (p <= risk) == (q <= risk)
-        if unmeasured.hyperparameter or not (is_same and abs(p - q) <= risk):
-            return UNDECIDED, f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
+        if prior_dominance.hyperparameter or not (is_same and abs(p - q) <= risk):
+            return UNDECIDED, f"{NOT_DETERMINED}: {prior_dominance}. {prior_dominance.cure}"
     count = f" (none of {len(draws.values)} posterior draws)" * (p in (0.0, 1.0))
     p_text, q_text = (format_percent(q, error) + count for q in (p, 1 - p))
     if rule == "guarded":

@@ -48,8 +48,8 @@ def export_certificate(command: ws.ExportCommand) -> ws.Answer:
     command.require_one()
     (path,), gravity, decisions = command.calibrations, command.gravity, None
     if command.certificate is None:
-        needs = "a digital calibration certificate needs device, laboratory and customer"
-        raise bc.InputError(f"{needs}: give --certificate FILE.toml")
+        requirement = "a digital calibration certificate needs device, laboratory and customer"
+        raise bc.InputError(f"{requirement}: give --certificate FILE.toml")
     calibration = ws.load_saved(path, command)
     if command.limit:
         options = {"members": command.members, "local_gravity": gravity}

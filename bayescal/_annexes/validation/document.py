@@ -34,28 +34,28 @@ def wrap_row(cells: Sequence[str], widths: Sequence[float]) -> list[str]:
 
 def write_pdf(record: ValidationRecord, path: Path) -> None:
     """Write the record as PDF; a table's header row is repeated on each page that it continues on."""
-    pages, bold = [[TITLE]], {TITLE}
+    pages, bold_lines = [[TITLE]], {TITLE}
     for section in record.sections():
-        head = wrap_row(section.head, section.widths)
+        header_lines = wrap_row(section.head, section.widths)
         notes = (line for note in section.notes for line in textwrap.wrap(note, LETTERS_PER_LINE))
         if len(pages[-1]) > LINES - MIN_SECTION_LINES:
             pages.append([])
-        pages[-1] += ["", section.title, *notes, *head]
-        bold |= {section.title, *head}
+        pages[-1] += ["", section.title, *notes, *header_lines]
+        bold_lines |= {section.title, *header_lines}
         for row in section.rows:
             lines = wrap_row(row, section.widths)
             if len(pages[-1]) + len(lines) > LINES:
-                pages.append([*head])
+                pages.append([*header_lines])
             pages[-1] += lines
     settings = style.context(["default", SETTINGS])
-    with settings, ws.replace_user_file(path) as partial, PdfPages(partial) as pdf:
+    with settings, ws.replace_user_file(path) as temporary_path, PdfPages(temporary_path) as pdf:
         for i, lines in enumerate(pages, 1):
             figure = Figure(figsize=(WIDTH, HEIGHT))
             footer = [""] * (LINES + 1 - len(lines)) + [f"{TITLE}, page {i} of {len(pages)}"]
             for k, line in enumerate([*lines, *footer], 1):
                 y = 1 - (MARGIN + k * LINE_INCHES) / HEIGHT
                 colour = "#a33c00" if "FAILED" in line else "black"
-                weight = "bold" if line in bold or "FAILED" in line else "normal"
+                weight = "bold" if line in bold_lines or "FAILED" in line else "normal"
                 text_style = {"fontsize": POINTS, "weight": weight, "color": colour}
                 figure.text(MARGIN / WIDTH, y, line, **text_style)
             pdf.savefig(figure)

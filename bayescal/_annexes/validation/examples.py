@@ -22,11 +22,11 @@ def pick(value: Any, path: str) -> Any:
     """Return the value at a path of attributes, keys and indices, such as "corrected.value.0"."""
     if isinstance(value, Mapping) and path in value:
         return value[path]
-    part, _, tail = path.partition(".")
-    if isinstance(value, Mapping) or part.isdigit():
-        value = value[part if isinstance(value, Mapping) else int(part)]
+    key, _, tail = path.partition(".")
+    if isinstance(value, Mapping) or key.isdigit():
+        value = value[key if isinstance(value, Mapping) else int(key)]
     else:
-        value = getattr(value, part)
+        value = getattr(value, key)
     return pick(value, tail) if tail else value
 
 
@@ -40,7 +40,7 @@ def resolve(value: Any) -> Any:
     return pick(json.loads((DATA / file).read_text("utf-8")), path)
 
 
-def regression(
+def fit_regression(
     y: Any,
     x: Any = None,
     u: Any = None,
@@ -73,22 +73,23 @@ def regression(
     fitter = bc.Marginal(draws=20_000) if method == "Marginal" else bc.LeastSquares(draws=DRAWS)
     stimulus = "value" if output is None else "x1"
     priors = bc.Normal(*prior) if prior else bc.Flat()
-    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, further=errors, method=fitter)
+    settings: Any = {"prior": priors, "further_effects": errors, "method": fitter}
+    fitted = fit(y, columns, u=u, stimulus=stimulus, **settings)
     draws = np.array([fitted.samples(f"line.b[{name}]") for name in columns])
     covariance = np.atleast_2d(np.cov(draws))
     sd, cross_covariance = np.sqrt(np.diag(covariance)), covariance[0, -1]
     inputs = {name: at if name == "x1" else 1.0 for name in columns if name != stimulus}
     reading: Any = {"output": output or 0.0, "output_uncertainty": output_u}
     options: Any = {"noise": output is not None, "method": "first order", "warn": False}
-    answer = {"b": draws.mean(axis=1), "u": sd, "covariance": cross_covariance}
-    answer |= {"r": cross_covariance / (sd[0] * sd[-1]), "chi_squared": fitted.chi_squared_test}
-    answer["corrected"] = bc.compensator(fitted)(**reading, **inputs, **options)
+    results = {"b": draws.mean(axis=1), "u": sd, "covariance": cross_covariance}
+    results |= {"r": cross_covariance / (sd[0] * sd[-1]), "chi_squared": fitted.chi_squared_test}
+    results["corrected"] = bc.compensator(fitted)(**reading, **inputs, **options)
     if u is None:
-        answer["s"] = fitted.samples("noise.white")[0]
+        results["s"] = fitted.samples("noise.white")[0]
     if output is None:
-        answer["budget"] = bc.budget(fitted, {"value": 0.0, **inputs})
-        answer["type_b"] = sum(s.share for s in answer["budget"].sources if s.kind == "B")
-    return answer | ({"decision": bc.decide(fitted, limit).decisions[0]} if limit else {})
+        results["budget"] = bc.budget(fitted, {"value": 0.0, **inputs})
+        results["type_b"] = sum(s.share for s in results["budget"].sources if s.kind == "B")
+    return results | ({"decision": bc.decide(fitted, limit).decisions[0]} if limit else {})
 
 
 def _fit_known(
@@ -101,13 +102,13 @@ def _fit_known(
     return fit(pairs, repeats, *arguments, u=u * 2**0.5, method=method, **options)
 
 
-def conformity(mean: float, u: float, limit: str, **options: Any) -> Any:
+def decide_conformity(mean: float, u: float, limit: str, **options: Any) -> Any:
     """Return the decision on the conformity of a quantity to a limit, given its mean and standard uncertainty."""
-    fitted = _fit_known([mean], u, {"x0": np.ones(1)})
-    return bc.decide(fitted, f"line.b[x0]: {limit}", **options).decisions[0]
+    calibration = _fit_known([mean], u, {"x0": np.ones(1)})
+    return bc.decide(calibration, f"line.b[x0]: {limit}", **options).decisions[0]
 
 
-def propagation(
+def propagate(
     values: list[str],
     *,
     mean: Any = None,
@@ -142,21 +143,21 @@ def propagation(
     expected = " + ".join(f"b{i}*{name}" for i, name in enumerate(columns, 1))
     columns |= {f"w{k}": np.zeros(len(mean)) for k in range(count)}
     value = " + ".join(f"w{k}*({text})" for k, text in enumerate(values))
-    fitted = _fit_known(root @ mean, 1.0, columns, mean, expected, value=value)
+    calibration = _fit_known(root @ mean, 1.0, columns, mean, expected, value=value)
     pairs = [(i, j) for i in range(count) for j in range(i)]
     weights = np.vstack([np.eye(count), *(np.eye(count)[[pair]].sum(axis=1) for pair in pairs)])
     inputs: Any = {f"w{k}": w for k, w in enumerate(weights.T)}
     inputs |= {"output": np.zeros(len(weights)), "noise": False, "warn": False}
-    corrected = bc.compensator(fitted, draws=DRAWS)(**inputs, method=method)
-    sd = corrected.uncertainty
+    result = bc.compensator(calibration, draws=DRAWS)(**inputs, method=method)
+    sd = result.uncertainty
     pair_sd = zip(sd[count:], pairs, strict=True)
     correlations = [(s**2 - sd[i] ** 2 - sd[j] ** 2) / (2 * sd[i] * sd[j]) for s, (i, j) in pair_sd]
-    return {"y": corrected.value, "u": sd, "r": correlations}
+    return {"y": result.value, "u": sd, "r": correlations}
 
 
 def compare_first_order_with_draws(**inputs: Any) -> list[float]:
     """Return how far y − 2u and y + 2u by the law of propagation of uncertainty are from the Monte Carlo method's."""
-    gum, monte_carlo = (propagation(**inputs, method=m) for m in ("first order", "draws"))
+    gum, monte_carlo = (propagate(**inputs, method=m) for m in ("first order", "draws"))
     y, u = (gum[key][0] - monte_carlo[key][0] for key in ("y", "u"))
     return [abs(y - 2 * u), abs(y + 2 * u)]
 
@@ -166,7 +167,7 @@ def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
     return bc.Measurements.from_arrays(sensor, units={"output": "deg/s"}, time=time, output=output)
 
 
-def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
+def estimate_noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
     """Estimate the noise coefficients of a record simulated with `true`: N, K, B (°/s, s); `angle`: quantum, °."""
     rng, sizes = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
     rate = sizes["N"] / step**0.5 * rng.standard_normal(n)
@@ -179,7 +180,7 @@ def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str
     return {f.symbol: f.value for f in bc.noise(_at_rest(rate, step)).figures}
 
 
-def allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
+def compute_allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
     """Compute the Allan deviation of the pseudo-random sequence in NIST SP 1065, section 12."""
     sequence = [seed]
     while len(sequence) < n:
@@ -187,7 +188,7 @@ def allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
     return bc.allan_deviation(_at_rest(np.array(sequence) / 2147483647, 1.0))
 
 
-def instrument(
+def fit_instrument(
     name: str, grid: Any, output: str, true: Any, u: float, add: Any = ()
 ) -> dict[str, float]:
     """Fit an installed instrument to exact outputs on a full grid of input columns; return estimates by effect."""
@@ -199,5 +200,5 @@ def instrument(
     columns["output_uncertainty"] = np.full(len(y), u)
     readings = bc.Measurements.from_arrays(sensor, output=y, **columns)
     model = (sensor.baseline() + list(add)).fix({"noise.white": 0.0})
-    fitted = bc.fit(model, readings, bc.LeastSquares(), strict=False, reference={"T0": 25.0})
-    return {n: float(fitted.samples(n).mean()) for n in model.names}
+    calibration = bc.fit(model, readings, bc.LeastSquares(), strict=False, reference={"T0": 25.0})
+    return {n: float(calibration.samples(n).mean()) for n in model.names}

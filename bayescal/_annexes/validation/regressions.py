@@ -39,7 +39,7 @@ def fit(
     prior: Any = None,
     value: str = LINE,
     stimulus: str = "value",
-    further: Sequence[bc.Effect] = (),
+    further_effects: Sequence[bc.Effect] = (),
     method: Any = None,
 ) -> bc.Calibration:
     """Fit y by columns (n,) times the coefficients of the effect "line.b", or by an equation in b1, b2, ….
@@ -49,7 +49,7 @@ def fit(
         start, expected: starting values of b1, b2, …, and the equation of the response.
         prior: prior of the coefficients of columns; flat if not given.
         value, stimulus: equation of the compensated quantity; its name, or a column, for which the response is solved.
-        further, method: additional effects; method of the fit, least squares if not given.
+        further_effects, method: additional effects; method of the fit, least squares if not given.
     """
     starts = {f"b{i}": float(b) for i, b in enumerate(start, 1)} or {LINE: 0.0}
 
@@ -79,7 +79,7 @@ def fit(
         columns=tuple(bc.Column(name, "1") for name in (*columns, "output")),
         slots=tuple(bc.Slot(slot, "1") for slot in starts),
         response=lambda slots, r: compute(expected, slots, r),
-        effects=(*effects, *further),
+        effects=(*effects, *further_effects),
         noise=bc.White(bc.Flat()),
         use=bc.Use(stimulus, "1", equation=equation),
     )

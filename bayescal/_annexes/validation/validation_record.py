@@ -121,10 +121,10 @@ class ValidationRecord:
             notes = [f"Not answered: {text}." for text in standard["not_answered"]]
             if rows:
                 yield Section(standard["title"], notes, HEAD, cells, WIDTHS)
-        sets = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
+        cells_by_set = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
         for row in self.rows_of(NIST):
-            sets[row.clause] += [f"{row.value:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
-        rows = [[*cells, *[""] * (len(NIST_HEAD) - len(cells))] for cells in sets.values()]
+            cells_by_set[row.clause] += [f"{row.value:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
+        rows = [[*cells, *[""] * (len(NIST_HEAD) - len(cells))] for cells in cells_by_set.values()]
         if rows:
             title, widths = "NIST Statistical Reference Datasets, regression", [1 / 9] * 9
             yield Section(title, [nist_strd.ABOUT], NIST_HEAD, rows, widths)
@@ -137,36 +137,36 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
         InputError: a standard has no examples here.
     """
     names = [*(item["name"] for item in load_clauses()["standards"]), NIST]
-    if unknown := [name for name in standards if name not in names]:
-        raise bc.InputError(f"--standard {unknown[0]!r} is not one of {', '.join(names)}")
-    chosen = tuple(name for name in names if name in (standards or names))
-    clauses = [item for item in load_clauses()["clauses"] if item["standard"] in chosen]
+    if unknown_names := [name for name in standards if name not in names]:
+        raise bc.InputError(f"--standard {unknown_names[0]!r} is not one of {', '.join(names)}")
+    chosen_names = tuple(name for name in names if name in (standards or names))
+    clauses = [item for item in load_clauses()["clauses"] if item["standard"] in chosen_names]
     rows = [row for clause in clauses for row in _evaluate_clause(clause)]
     performance = dict[str, tuple[float, float]]()
-    kinds = ("linear", "nonlinear") if NIST in chosen else ()
+    kinds = ("linear", "nonlinear") if NIST in chosen_names else ()
     for name in (name for kind in kinds for name in nist_strd.load_certificates(kind)):
         with ws.track(f"{NIST}, {name}"):
             estimates = nist_strd.fit_data_set(name)
         performance[name] = estimates[0].condition_number, max(e.performance for e in estimates)
-        largest = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
+        maxima = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
         labels = NIST, name, "largest relative error, from every start"
-        rows.append(Row(*labels, "parameters", 0.0, largest[0], PARAMETER_RTOL))
+        rows.append(Row(*labels, "parameters", 0.0, maxima[0], PARAMETER_RTOL))
         if name not in nist_strd.NOISELESS:
-            rows.append(Row(*labels, "standard deviations", 0.0, largest[1], SD_RTOL))
-    return ValidationRecord(tuple(rows), performance, chosen, describe_installation())
+            rows.append(Row(*labels, "standard deviations", 0.0, maxima[1], SD_RTOL))
+    return ValidationRecord(tuple(rows), performance, chosen_names, describe_installation())
 
 
 def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
     """Yield a row per compared value of a clause of a standard; values are NaN if its example raises an error."""
     inputs = {name: examples.resolve(value) for name, value in clause["given"].items()}
-    answer, error_text = None, ""
+    result, error_text = None, ""
     with ws.track(f"{clause['standard']}, {clause['clause']}"):
         try:
-            answer = getattr(examples, clause["example"])(**inputs)
+            result = getattr(examples, clause["example"])(**inputs)
         except bc.BayescalError as error:
             error_text = f" ({error})"
     for quantity, path, certified, tolerance in clause["rows"]:
-        value = math.nan if error_text else float(examples.pick(answer, path))
+        value = math.nan if error_text else float(examples.pick(result, path))
         labels = clause["standard"], clause["clause"], clause["tested"] + error_text, quantity
         yield Row(*labels, float(examples.resolve(certified)), value, tolerance)
 

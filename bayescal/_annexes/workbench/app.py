@@ -46,7 +46,7 @@ class Workbench:
         """Build the page of a session; it fills the window, unless it is embedded in a notebook."""
         self.session = session
         self.worker = PageWorker(self._show_status, self._set_busy)
-        self.other: int | None = None  # number of the step to compare with; None: the parent
+        self.compared_number: int | None = None  # of the step to compare with; None: the parent
         self._progress, self._stopping = "", False  # of the last search
         self.model, self.residuals = ModelPane(self), ResidualPane(self)
         self.candidates, self.errors = CandidatesPane(self), ErrorPane(self)
@@ -82,14 +82,14 @@ class Workbench:
 
         def show() -> None:
             state = self.session.current.number, len(self.session.states)
-            if not self.worker.busy and state != self._shown:
+            if not self.worker.busy and state != self._shown_state:
                 self.show_state()
 
         self.worker.call_on_page(show)
 
     def compare(self, number: int) -> None:
         """Compare the current step with another one, in the panels of residuals and in a table."""
-        self.other = number
+        self.compared_number = number
         self.refresh()
         self.residuals.show_comparison()
         self.tabs.selection.value = "Side by side"
@@ -97,12 +97,12 @@ class Workbench:
     def refresh(self) -> None:
         """Show the session's current state."""
         states, state = self.session.states, self.session.current
-        self._shown = (state.number, len(states))
-        if self.other == state.number:
-            self.other = None
-        other = states.get(state.parent if self.other is None else self.other)
+        self._shown_state = (state.number, len(states))
+        if self.compared_number == state.number:
+            self.compared_number = None
+        other = states.get(state.parent if self.compared_number is None else self.compared_number)
         self.residuals.show(state, other)
-        self.tabs.compare.set_other(None if other is None else other.number)
+        self.tabs.compare_pane.set_other(None if other is None else other.number)
         for pane in (self.model, self.candidates, self.errors, self.tabs):
             pane.show(state)
 
@@ -113,24 +113,24 @@ class Workbench:
         status = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
-        self.worker.run(job, self.show_state, status=status, changes=True, failed=self._clear_stale)
+        self.worker.run(job, self.show_state, status=status, is_change=True, on_error=self._undim)
 
-    def _clear_stale(self) -> None:
+    def _undim(self) -> None:
         self.browser.stale = False
 
-    def run(self, job: Callable[[], Any], then: Callable[[Any], None], status: str = "") -> None:
-        """Run a job in a worker thread, then call `then(result)` on the page if the current state is unchanged."""
+    def run(self, job: Callable[[], Any], finish: Callable[[Any], None], status: str = "") -> None:
+        """Run a job in a worker thread, then call `finish(result)` on the page if the current state is unchanged."""
         number = self.session.current.number
 
         def show(result: Any) -> None:
             if self.session.current.number == number:
-                then(result)
+                finish(result)
 
         self.worker.run(job, show, status=status)
 
-    def preview(self, then: Callable[[Any], None], *action: Any) -> None:
-        """Compute the preview of an action of the session, then call `then(preview)`."""
-        self.worker.preview(lambda: self.session.preview(*action), then)
+    def preview(self, on_result: Callable[[Any], None], *action: Any) -> None:
+        """Compute the preview of an action of the session, then call `on_result(preview)`."""
+        self.worker.preview(lambda: self.session.preview(*action), on_result)
 
     def _show_missing(self, _: Any = None) -> None:
         """Show the candidates missing from the current state."""
@@ -150,7 +150,7 @@ class Workbench:
 
     def show_state(self, _: Any = None) -> None:
         """Show the state after an action, and search for effects missing from it."""
-        self._clear_stale()
+        self._undim()
         self.refresh()
         if self.session.current.discovery is None:
             self.find_missing()
@@ -172,7 +172,7 @@ class Workbench:
 
     def find_all(self) -> None:
         """Search from the current state to the end, or until `stop`; each step becomes a state."""
-        self.other, self._progress, self._stopping = None, "", False
+        self.compared_number, self._progress, self._stopping = None, "", False
         self.errors.show_search_progress(True, "searching …")
 
         def follow(path: Any) -> None:
@@ -182,11 +182,11 @@ class Workbench:
             self.errors.show_search_progress(False, self._progress)
             self.show_state()
 
-        def failed() -> None:
+        def fail() -> None:
             self.errors.show_search_progress(False)
 
         search = lambda: self.session.find_all(follow)  # noqa: E731
-        self.worker.run(search, finish, status="Finding all …", changes=True, failed=failed)
+        self.worker.run(search, finish, status="Finding all …", is_change=True, on_error=fail)
 
     def _show_path(self, path: Any) -> None:
         self._progress = path.progress
@@ -205,8 +205,8 @@ class Workbench:
         for pane in (self.model, self.candidates, self.errors):
             pane.set_busy(is_busy)
 
-    def _show_status(self, text: str, is_error: bool) -> None:
-        self.status.object = text
+    def _show_status(self, status_text: str, is_error: bool) -> None:
+        self.status.object = status_text
         self.status.css_classes = ["small", "status", *(["refused"] if is_error else [])]
 
 

@@ -62,7 +62,7 @@ def restrict_requests(application: Any, hosts: Collection[str]) -> None:
     application.find_handler = find_allowed
 
 
-FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'
+FORWARDING_PAGE = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'
 
 
 @contextmanager
@@ -75,7 +75,7 @@ def open_in_browser(url: str, folder: Path) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="open_", dir=folder.resolve()) as private:  # mode 700
         file = Path(private) / "workbench.html"
         file.touch(0o600)
-        file.write_text(FORWARD.format(ws.escape_html(url)), "utf-8")
+        file.write_text(FORWARDING_PAGE.format(ws.escape_html(url)), "utf-8")
         webbrowser.open(file.as_uri())
         yield
 

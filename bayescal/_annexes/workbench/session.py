@@ -69,12 +69,12 @@ MAX_CACHED_SEARCHES = 4  # the latest ones
 
 def _find_structure(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | None:
     """Return the structure in a search that equals `model`, if it is a subset of the chosen structure, else None."""
-    structures, chosen = search.structures, search.chosen_structure
+    structures, chosen_structure = search.structures, search.chosen_structure
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
-    laws = {n: structures.noise_law(ws.Structure(noise=n)) for n in ("", chosen.noise)}
+    laws = {n: structures.noise_law(ws.Structure(noise=n)) for n in ("", chosen_structure.noise)}
     law = next((n for n, noise in laws.items() if noise == model.noise), None)
-    if law is None or not names <= chosen.effects or model.fixed != base.fixed:
+    if law is None or not names <= chosen_structure.effects or model.fixed != base.fixed:
         return None
     if any(e != model.effect(e.name) for e in base.effects if e.name in model.names):
         return None
@@ -87,8 +87,8 @@ def _find_structure(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure 
 
 def _matches_candidate(effect: bc.Effect, form: bc.Effect) -> bool:
     """Return whether an effect equals a candidate's form, apart from plausible sizes that the search averages over."""
-    first = form.coefficients[0]
-    factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
+    first_coefficient = form.coefficients[0]
+    factor = 1.0 if first_coefficient.flat else effect.coefficients[0].size / first_coefficient.size
     return effect.is_placeholder or effect == form or round(factor, 9) in ws.SIZE_FACTORS
 
 
@@ -161,9 +161,9 @@ class Session:
         with ws.create_result_folder(folder):
             name = model.instrument.name
             origin = origin or Origin(name if name in ws.list_installed() else "")
-            used, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
-            session = cls(used, held_out, folder, options, origin, by_name)
-            if (folder / store.SESSION).is_file():
+            kept_readings, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
+            session = cls(kept_readings, held_out, folder, options, origin, by_name)
+            if (folder / store.SESSION_FILE).is_file():
                 session._resume(model)
             else:
                 session._fit_change(Change(model), None)
@@ -171,11 +171,11 @@ class Session:
 
     def _resume(self, model: bc.Model) -> None:
         """Load the states saved in the folder; remove a state that a crash left incomplete."""
-        saved, effects = store.load_session(self.folder), tuple(self.effects.values())
-        uninstalled = () if model.instrument.name in ws.list_installed() else (model.instrument,)
-        for n, entry in enumerate(saved.states):
+        saved_session, effects = store.load_session(self.folder), tuple(self.effects.values())
+        instruments = () if model.instrument.name in ws.list_installed() else (model.instrument,)
+        for n, entry in enumerate(saved_session.states):
             path = store.fit_path(self.folder, n)
-            calibration = bc.load(path, effects=effects, instruments=uninstalled)
+            calibration = bc.load(path, effects=effects, instruments=instruments)
             if not calibration.readings.same_as(self.readings):
                 raise bc.InputError(
                     f"{self.folder} has a session of other readings, {calibration.readings.file}: give another folder "
@@ -186,7 +186,7 @@ class Session:
             self._states[n] = State(n, entry.parent, step)
             formulas = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
             self.effects |= {e.name: e for e in formulas}
-        self._current_number = saved.current
+        self._current_number = saved_session.current
         store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # incomplete state
 
     @property
@@ -327,8 +327,8 @@ class Session:
             state: state to search from.
             follow: callback with the search path so far; only with it is a stopped search continued.
         """
-        first, blank = self.states[0], self._blank_search
-        effects = [e for e in first.model.effects if blank.is_reconsidered(e, first.model)]
+        first, blank_search = self.states[0], self._blank_search
+        effects = [e for e in first.model.effects if blank_search.is_reconsidered(e, first.model)]
         search = self._search_over(reduce(sub, effects, first.model), effects, follow)
         if (structure := _find_structure(state.model, search)) is None:
             search, structure = self._search_over(state.model, (), follow), ws.Structure()
@@ -416,9 +416,9 @@ class Session:
     def verdict(self) -> str:
         """Format the verdict: whether the current model may be used, and the verdict of its fit."""
         trail = self.trail()
-        use = "This result may be used." if trail.ok else "Not to be used as it is."
-        texts = (use, trail.gate.reason, str(trail.final.calibration.verdict))
-        return "\n\n".join([*(ws.wrap(t, "") for t in texts if t), str(trail)])
+        use_text = "This result may be used." if trail.ok else "Not to be used as it is."
+        texts = (use_text, trail.gate.reason, str(trail.final.calibration.verdict))
+        return "\n\n".join([*(ws.fold_text(t, "") for t in texts if t), str(trail)])
 
     def compare(self, number: int) -> str:
         """Compare the current model with that of state `number` by `bc.compare`, and list the unknowns of both.

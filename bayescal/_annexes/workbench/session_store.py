@@ -26,7 +26,7 @@ class Origin:
     files: tuple[str, ...] = ()  # files, holdout: absolute paths of readings; empty if in memory
     holdout: tuple[str, ...] = ()
     # Arguments of `bayescal.read` that differ from their defaults.
-    read: Mapping[str, Any] = field(default_factory=dict)
+    read_options: Mapping[str, Any] = field(default_factory=dict)
     average: str | None = None  # averaging time; None for single readings
     effect_files: tuple[str, ...] = ()  # absolute paths of Python files with user-defined effects
 
@@ -36,7 +36,7 @@ class Origin:
         instrument: str,
         files: Sequence[Path | str],
         holdout: Sequence[Path | str] | None = None,
-        read: Mapping[str, Any] | None = None,
+        read_options: Mapping[str, Any] | None = None,
         effect_files: Sequence[Path | str] = (),
         **settings: Any,
     ) -> Origin:
@@ -49,8 +49,8 @@ class Origin:
             return tuple(str(Path(p).resolve()) for p in paths or ())
 
         defaults = vars(ws.ReadOptions())
-        changed = {k: v for k, v in (read or {}).items() if v != defaults.get(k)}
-        settings |= {"read": changed, "effect_files": resolve(effect_files)}
+        changed_options = {k: v for k, v in (read_options or {}).items() if v != defaults.get(k)}
+        settings |= {"read_options": changed_options, "effect_files": resolve(effect_files)}
         return cls(instrument, resolve(files), resolve(holdout), **settings)
 
 
@@ -99,7 +99,7 @@ def list_path(states: Mapping[int, Any], number: int) -> list[int]:
     return path
 
 
-SESSION, SCRIPT = "session.json", "script.py"
+SESSION_FILE, SCRIPT_FILE = "session.json", "script.py"
 SCHEMA = "bayescal.workbench/3"
 FIRST_FOLDER = "session_1"  # folder of a session, in that of --out
 
@@ -142,10 +142,10 @@ def save_session(folder: Path, states: Mapping[int, State], current: int, script
     Raises:
         InputError: a file cannot be written.
     """
-    ordered = (state for _, state in sorted(states.items()))
-    saved = [SavedState(s.parent, s.step.added, s.step.description) for s in ordered]
-    ws.write_json(ws.as_json(SavedSession(SCHEMA, saved, current)), folder / SESSION)
-    ws.write_text(script, folder / SCRIPT)
+    ordered_states = (state for _, state in sorted(states.items()))
+    saved_states = [SavedState(s.parent, s.step.added, s.step.description) for s in ordered_states]
+    ws.write_json(ws.as_json(SavedSession(SCHEMA, saved_states, current)), folder / SESSION_FILE)
+    ws.write_text(script, folder / SCRIPT_FILE)
 
 
 def load_session(folder: Path) -> SavedSession:
@@ -155,7 +155,7 @@ def load_session(folder: Path) -> SavedSession:
         InputError: the file does not exist, or cannot be read.
     """
     try:
-        return ws.read_json(folder / SESSION, SavedSession)
+        return ws.read_json(folder / SESSION_FILE, SavedSession)
     except (OSError, ValueError) as error:
         raise bc.InputError(
             f"{folder} has no session that can be resumed ({error}): start one in another folder"
@@ -184,17 +184,17 @@ def generate_script(
         }
         steps.append(step)
     file, _, name = origin.instrument.rpartition(":")
-    installed = metadata.entry_points(group="bayescal.instruments")
+    entry_points = metadata.entry_points(group="bayescal.instruments")
     arguments = {"repr": repr, "arguments": _format_arguments}
     return ws.load_template("bayescal._annexes.workbench", "script.py.jinja", arguments).render(
         version=bc.__version__,
         file=file,
         name=name,
-        entry=None if file or not origin.instrument else installed[name],
+        entry=None if file or not origin.instrument else entry_points[name],
         own_files=list(origin.effect_files),
         parts={"readings": list(origin.files), "holdout": list(origin.holdout)},
         first=steps[0]["file"],
-        read=origin.read,
+        read=origin.read_options,
         average=origin.average,
         spikes={"keep_spikes": True} if settings.keep_spikes else {},
         reference={"reference": dict(settings.reference)} if settings.reference else {},

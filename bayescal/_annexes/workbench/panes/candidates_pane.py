@@ -22,20 +22,20 @@ class CandidatesPane(Pane):
         super().__init__(page)
         self.completeness = label("")
         self.hint = label(HINT, "small", min_height=36)
-        add = lambda effect, _: page.act("add", effect)  # noqa: E731
-        self.rows = Rows(add, kind="pair", pointing=True, label="Candidates")
+        add_candidate = lambda effect, _: page.act("add", effect)  # noqa: E731
+        self.rows = Rows(add_candidate, kind="pair", pointing=True, label="Candidates")
         self.rows.param.watch(lambda event: page.draw_candidate(event.new), "pointed")
         options: dict[str, Any] = {"placeholder": "supply: s * (supply_voltage - 5); s = 0.1 mV/V"}
-        room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90, "max_length": 500}
+        size: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90, "max_length": 500}
         self.formula = widget(
-            pn.widgets.TextInput, "or type a formula: Enter draws it", **options, **room
+            pn.widgets.TextInput, "or type a formula: Enter draws it", **options, **size
         )
         self.formula.param.watch(lambda _: self._preview_formula(), "value")
-        self.add = button("Add it", lambda _: self._add_formula(), disabled=True, align="end")
-        title = row(label("What is missing", "title"))
-        typed = row(self.formula, self.add, kinds=("spread",))
+        self.button = button("Add it", lambda _: self._add_formula(), disabled=True, align="end")
+        title_row = row(label("What is missing", "title"))
+        entry = row(self.formula, self.button, kinds=("spread",))
         self.view = column(
-            *(title, self.completeness, self.hint, self.rows, typed), kinds=("pane", "missing")
+            *(title_row, self.completeness, self.hint, self.rows, entry), kinds=("pane", "missing")
         )
 
     def show(self, state: Any, reason: str = "Searching for missing effects …") -> None:
@@ -53,7 +53,7 @@ class CandidatesPane(Pane):
     def _preview_formula(self) -> None:
         """Draw the curve of the typed formula over the residuals and show its preview, or the error in the formula."""
         line, page, session = self.formula.value.strip(), self.page, self.session
-        self.add.disabled = True
+        self.button.disabled = True
         if not line:
             return
 
@@ -61,7 +61,7 @@ class CandidatesPane(Pane):
             if line == self.formula.value.strip():
                 page.residuals.preview(result.curve)
                 self.preview(result.summary)
-                self.add.disabled = self.rows.busy
+                self.button.disabled = self.rows.busy
 
         page.worker.preview(lambda: session.preview("add", session.parse_formula(line)), draw)
 
@@ -75,23 +75,23 @@ class CandidatesPane(Pane):
 
     def set_busy(self, is_busy: bool) -> None:
         self.rows.busy = is_busy
-        self.add.disabled = self.add.disabled or is_busy
+        self.button.disabled = self.button.disabled or is_busy
 
 
 def build_candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
     """Return a row per candidate, in groups: findings, leads, others, undetectable ones and untestable ones."""
     by_name = {c.effect: c for c in discovery.candidates}
-    rows, listed = [], set()
-    for i, alternatives in enumerate(discovery.findings):
+    rows, listed_names = [], set()
+    for i, finding in enumerate(discovery.findings):
         heading = "Missing" if i == 0 else "Also missing"
-        if len(alternatives.effects) > 1:
+        if len(finding.effects) > 1:
             heading = "One of these, which the readings do not distinguish"
-        group = f"{heading}: probability {ws.probability(alternatives.probability)}"
-        names = [n for n in alternatives.effects if n in by_name and n not in listed]
+        group = f"{heading}: probability {ws.probability(finding.probability)}"
+        names = [n for n in finding.effects if n in by_name and n not in listed_names]
         rows += [_build_row(by_name[name], group, "found") for name in names]
-        listed |= set(alternatives.effects)
-    others = [c for c in discovery.candidates if c.effect not in listed]
-    has_found = rows or any(c.kind == "lead" for c in others)
+        listed_names |= set(finding.effects)
+    other_candidates = [c for c in discovery.candidates if c.effect not in listed_names]
+    has_found = rows or any(c.kind == "lead" for c in other_candidates)
     kinds = {
         "lead": ("Leads", "lead"),
         None: ("The others" if has_found else "Nothing is found; the candidates", ""),
@@ -99,7 +99,7 @@ def build_candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
         "not testable": (NOT_TESTABLE, "quiet"),
     }
     for kind, labels in kinds.items():
-        group = [c for c in others if (c.kind if c.kind in kinds else None) == kind]
+        group = [c for c in other_candidates if (c.kind if c.kind in kinds else None) == kind]
         rows += [_build_row(candidate, *labels) for candidate in group]
     return rows
 
@@ -114,11 +114,11 @@ def _build_row(c: Any, group: str, kind: str) -> dict[str, Any]:
             size = f"{ws.format_value(c.size, c.size_sd or 0.0)} {ws.unit_label(c.unit)}"
             bar["text"] = f"{text} · {size}"
         cells.append({"text": text, "title": f"probability {text}; {factor}", **bar})
-    add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}
-    note, confounded = c.reason, c.indistinguishable_from
-    if c.kind in ("finding", "one of several", "lead") and confounded:
-        others = f" and {len(confounded) - 3} more" if len(confounded) > 3 else ""
-        note = f"confounded with {', '.join(confounded[:3])}{others}"
-    actions = [] if c.kind == "not testable" else [add]
+    add_action = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}
+    note, confounded_names = c.reason, c.indistinguishable_from
+    if c.kind in ("finding", "one of several", "lead") and confounded_names:
+        more_text = f" and {len(confounded_names) - 3} more" if len(confounded_names) > 3 else ""
+        note = f"confounded with {', '.join(confounded_names[:3])}{more_text}"
+    actions = [] if c.kind == "not testable" else [add_action]
     row = {"group": group, "cells": cells, "note": note, "kind": kind}
     return {"id": c.effect, **row, "actions": actions}

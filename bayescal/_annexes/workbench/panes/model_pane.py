@@ -19,7 +19,7 @@ class ModelPane(Pane):
         super().__init__(page)
         self._calibration: Any = None
         self._effect, self._is_busy = "", False
-        room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
+        sizing: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
         layout: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
         open_effect = lambda effect, _: self._open_form(effect)  # noqa: E731
         set_law = lambda law, _: page.act("noise", law)  # noqa: E731
@@ -27,9 +27,9 @@ class ModelPane(Pane):
         self.noise = Rows(set_law, kind="pair", label="Noise law", **layout)
         self.equation, self.verdict = label("", "small"), label("", "small")
         self.title, self.consequences = label("", "title"), label("", "small")
-        self.coefficient = widget(pn.widgets.Select, "unknown", **room)
-        self.value = widget(pn.widgets.FloatInput, "fixed at", **room)
-        self.size = widget(pn.widgets.FloatInput, "plausible size", start=0.0, **room)
+        self.coefficient = widget(pn.widgets.Select, "unknown", **sizing)
+        self.value = widget(pn.widgets.FloatInput, "fixed at", **sizing)
+        self.size = widget(pn.widgets.FloatInput, "plausible size", start=0.0, **sizing)
         self.buttons = remove_button, fix_button, free_button, resize_button = (
             button("Take out", lambda _: self._act("take_out", self._effect)),
             button("Fix", lambda _: self._act("fix", self.coefficient.value, self.value.value)),
@@ -86,15 +86,15 @@ class ModelPane(Pane):
         self._effect, self.form.visible = effect, bool(effect)
         if not effect:
             return
-        chosen = self._calibration.model.effect(effect)
+        opened_effect = self._calibration.model.effect(effect)
         self.title.object = effect
         self.consequences.object = "Computing the model without this effect …"
-        names = [chosen.coefficient_name(i) for i in range(len(chosen.coefficients))]
-        names += [chosen.shape_name(s) for s in chosen.shapes]
+        names = [opened_effect.coefficient_name(i) for i in range(len(opened_effect.coefficients))]
+        names += [opened_effect.shape_name(s) for s in opened_effect.shapes]
         self.coefficient.options, self.coefficient.value = names, names[0]
-        first = chosen.coefficients[0]
-        self.size.label = f"plausible size [{ws.unit_label(first.unit) or '1'}]"
-        self.size.value = None if first.flat else float(first.size)
+        first_coefficient = opened_effect.coefficients[0]
+        self.size.label = f"plausible size [{ws.unit_label(first_coefficient.unit) or '1'}]"
+        self.size.value = None if first_coefficient.flat else float(first_coefficient.size)
         self._show_coefficient()
         show = lambda p: self.consequences.param.update(object=f"Without it: {p.summary}")  # noqa: E731
         self.page.preview(show, "take_out", effect)
@@ -125,8 +125,8 @@ def format_equation(model: Any) -> str:
         if terms:
             meaning = f" ({slot.meaning})" if slot.meaning else ""
             lines.append(f"{slot.name}{meaning} = {' + '.join(terms)}")
-    fixed = ", ".join(f"{name} = {value:g}" for name, value in model.fixed)
-    return "\n".join([*lines, *([f"fixed: {fixed}"] if fixed else [])])
+    fixed_text = ", ".join(f"{name} = {value:g}" for name, value in model.fixed)
+    return "\n".join([*lines, *([f"fixed: {fixed_text}"] if fixed_text else [])])
 
 
 def build_effect_rows(calibration: Any) -> list[dict[str, Any]]:
@@ -146,10 +146,10 @@ def build_effect_rows(calibration: Any) -> list[dict[str, Any]]:
             suffix = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
             value = f"{suffix if len(terms) > 1 else ''} {_format_value(t)}".strip()
             cells.append({"text": value, **NUMBER, **_build_bar(t["contraction"])})
-        fixed = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
-        cells += [{"text": f"fixed: {', '.join(fixed)}", **NUMBER}] if fixed else []
-        change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
-        rows.append({"id": effect.name, "cells": cells, "actions": [change]})
+        fixed_values = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
+        cells += [{"text": f"fixed: {', '.join(fixed_values)}", **NUMBER}] if fixed_values else []
+        change_action = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
+        rows.append({"id": effect.name, "cells": cells, "actions": [change_action]})
     return rows
 
 
@@ -168,21 +168,21 @@ def _build_bar(contraction: float | None) -> dict[str, Any]:
 def build_noise_rows(state: Any) -> list[dict[str, Any]]:
     """Return a row per noise law: the model's law with its parameters; after a search, the probability of each."""
     calibration, discovery = state.calibration, state.discovery
-    used, (_, others) = calibration.model.noise, ws.summary(calibration)
-    noise = [t for t in others if t["effect"] == "noise"]
-    values = [f"{t['name'].removeprefix('noise.')} {_format_value(t)}" for t in noise]
+    model_law, (_, hyperparameters) = calibration.model.noise, ws.summary(calibration)
+    noise_unknowns = [t for t in hyperparameters if t["effect"] == "noise"]
+    values = [f"{t['name'].removeprefix('noise.')} {_format_value(t)}" for t in noise_unknowns]
     laws = {} if discovery is None else {law.law: law for law in discovery.noise}
     rows = []
-    for name in dict.fromkeys((used.law, *laws)):
-        law, is_used = laws.get(name), name == used.law
+    for name in dict.fromkeys((model_law.law, *laws)):
+        law, is_used = laws.get(name), name == model_law.law
         cells: list[dict[str, Any]] = [
-            {"text": used.in_words if law is None else law.in_words, "kind": "name"}
+            {"text": model_law.in_words if law is None else law.in_words, "kind": "name"}
         ]
         if law is not None:
             text = f"probability {ws.probability(law.probability)}"
             cells.append({"text": text, "bar": law.probability, **NUMBER})
         cells += [{"text": value, **NUMBER} for value in values if is_used]
-        use = {"id": "use", "label": "Use", "title": "fit with this noise law"}
-        actions = [] if is_used else [use]
+        use_action = {"id": "use", "label": "Use", "title": "fit with this noise law"}
+        actions = [] if is_used else [use_action]
         rows.append({"id": name, "cells": cells, "actions": actions, "current": is_used})
     return rows

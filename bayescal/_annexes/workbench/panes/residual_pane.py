@@ -82,51 +82,51 @@ class ResidualsOfState:
         low, high = entry.worst.low, entry.worst.high
         if entry.by_group:
             low = high = float(self.levels[name].index(str(entry.worst.group)))
-        half = 0.02 * float(np.ptp(self.covariates[name])) if low == high else 0.0
-        return low - half, high + half
+        margin = 0.02 * float(np.ptp(self.covariates[name])) if low == high else 0.0
+        return low - margin, high + margin
 
     def choose_columns(self) -> list[str]:
         """Return the initial columns: the two continuous covariates of largest log Bayes factor."""
-        ranked = [e.covariate for e in self.check.entries if not e.by_group]
-        chosen = ranked[:2] or [n for n in self.covariates if n != PREDICTED][:2]
-        return [n for n in self.covariates if n in chosen] or [PREDICTED]
+        ranked_names = [e.covariate for e in self.check.entries if not e.by_group]
+        chosen_names = ranked_names[:2] or [n for n in self.covariates if n != PREDICTED][:2]
+        return [n for n in self.covariates if n in chosen_names] or [PREDICTED]
 
     def describe_misfit(self) -> str:
         """Describe in a sentence the worst range of the covariate with the largest log Bayes factor."""
-        worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
-        if worst is None:
+        entry = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
+        if entry is None:
             return "No column varies: there is no covariate to plot the residuals against."
         rms_text = f"Residuals: {self.check.rms:.3g} {self.unit} rms; noise: {self.check.noise:.3g} {self.unit}. "
-        if worst.log_bayes_factor < 0:
+        if entry.log_bayes_factor < 0:
             return rms_text + "No log Bayes factor for a dependence on a column is above zero."
-        side = "positive" if worst.worst.size > 0 else "negative"
+        sign_word = "positive" if entry.worst.size > 0 else "negative"
         return (
-            f"{rms_text}Against {worst.covariate} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} "
-            f"on average, {ws.describe_region(worst.to_json_data(self.check.unit))} (z = {worst.worst.z:+.1f}; log "
-            f"Bayes factor {worst.log_bayes_factor:.1f})."
+            f"{rms_text}Against {entry.covariate} they are systematically {sign_word}: {entry.worst.size:+.3g} "
+            f"{self.unit} on average, {ws.describe_region(entry.to_json_data(self.check.unit))} "
+            f"(z = {entry.worst.z:+.1f}; log Bayes factor {entry.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
 
 # Colours of figures, legible on a light and on a dark page.
-INK, FIT, GRID_LINE = "#7a838b", "#d1007a", "#8a939b55"
-RUNS = ws.plot_colours.CYCLE
+INK_COLOUR, FIT_COLOUR, GRID_COLOUR = "#7a838b", "#d1007a", "#8a939b55"
+COLOURS = ws.plot_colours.CYCLE
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 MAX_LABEL_LETTERS = 48  # of an axis label
 MAX_LARGE_POINTS = 600  # number of readings up to which points are large
-NOISE, CURVE, FITTED, AT = "#8a939b", "curve", "fit", "at "
+NOISE_COLOUR, CURVE_FIELD, FIT_FIELD, AT = "#8a939b", "curve", "fit", "at "
 # Styles of a reading, of one of the compared step (hollow), and of the dots of a curve.
-POINT = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
-COMPARED = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
-DOT = {"line_color": None, "fill_color": FIT}
+POINT_STYLE = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
+COMPARED_STYLE = {"fill_color": None, "line_color": NOISE_COLOUR, "line_alpha": 0.7, "size": 4}
+DOT_STYLE = {"line_color": None, "fill_color": FIT_COLOUR}
 # Quantity that is drawn → its style, and the changes of style while other readings are selected.
 STYLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "measured": (POINT, {"fill_alpha": 0.12}),
-    "residual": (POINT, {"fill_alpha": 0.12}),
-    "fit before": (COMPARED, {"line_alpha": 0.2}),
-    "before": (COMPARED, {"line_alpha": 0.2}),
-    FITTED: ({**DOT, "size": 2.5}, {"fill_alpha": 0.9}),
-    CURVE: ({**DOT, "size": 3.5}, {"fill_alpha": 0.9}),
+    "measured": (POINT_STYLE, {"fill_alpha": 0.12}),
+    "residual": (POINT_STYLE, {"fill_alpha": 0.12}),
+    "fit before": (COMPARED_STYLE, {"line_alpha": 0.2}),
+    "before": (COMPARED_STYLE, {"line_alpha": 0.2}),
+    FIT_FIELD: ({**DOT_STYLE, "size": 2.5}, {"fill_alpha": 0.9}),
+    CURVE_FIELD: ({**DOT_STYLE, "size": 3.5}, {"fill_alpha": 0.9}),
 }
 
 
@@ -162,19 +162,19 @@ class ColumnPanel:
         output_range = set_axis_range(state.output)
         output = _make_figure(state, name, f"output [{state.unit}]", self._x_range, output_range)
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
-        for y in ("measured", "fit before", FITTED):
+        for y in ("measured", "fit before", FIT_FIELD):
             _draw_quantity(output, x, y, source)
         residuals = _make_figure(state, name, f"residual [{state.unit}]", self._x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
-        self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
+        self._noise = BoxAnnotation(fill_color=NOISE_COLOUR, line_alpha=0.0, **plain)
         self._worst = BoxAnnotation(
             fill_color=ws.plot_colours.RED, line_color=ws.plot_colours.RED, line_alpha=0.5, **plain
         )
-        zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
-        for annotation in (self._noise, zero, self._worst):
+        zero_line = Span(location=0, dimension="width", line_color=NOISE_COLOUR, line_width=1)
+        for annotation in (self._noise, zero_line, self._worst):
             residuals.add_layout(annotation)
-        for y in ("before", "residual", CURVE):
-            _draw_quantity(residuals, x, y, curves if y == CURVE else source)
+        for y in ("before", "residual", CURVE_FIELD):
+            _draw_quantity(residuals, x, y, curves if y == CURVE_FIELD else source)
         self.view: Any = column(figure_pane(output), figure_pane(residuals), kinds=("stack",))
         self.show(state)
 
@@ -217,16 +217,16 @@ def _make_figure(
         axis.update(
             axis_label_text_font_style="normal",
             axis_label_text_font_size="12px",
-            axis_label_text_color=INK,
+            axis_label_text_color=INK_COLOUR,
             axis_label_standoff=4,
-            axis_line_color=INK,
+            axis_line_color=INK_COLOUR,
             major_label_text_font_size="11px",
-            major_label_text_color=INK,
+            major_label_text_color=INK_COLOUR,
             major_label_policy=NoOverlap(),
-            major_tick_line_color=INK,
+            major_tick_line_color=INK_COLOUR,
             minor_tick_line_color=None,
         )
-    fig.grid.grid_line_color = GRID_LINE
+    fig.grid.grid_line_color = GRID_COLOUR
     fig.xaxis.ticker.desired_num_ticks = 5
     fig.yaxis.ticker.desired_num_ticks = 6
     if levels:
@@ -239,16 +239,16 @@ def _make_figure(
 def _draw_quantity(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
     """Draw a quantity against a column by one renderer (`figure.scatter` would make twice as many Bokeh models)."""
     style, muted = STYLES[y]
-    drawn = {"x": x, "y": y, **style}
-    if style is not POINT:
-        figure.add_glyph(source, Scatter(**drawn), nonselection_glyph=Scatter(**{**drawn, **muted}))
+    glyph = {"x": x, "y": y, **style}
+    if style is not POINT_STYLE:
+        figure.add_glyph(source, Scatter(**glyph), nonselection_glyph=Scatter(**{**glyph, **muted}))
         return
-    drawn["size"] = 5 if len(source.data["row"]) <= MAX_LARGE_POINTS else 3.5
+    glyph["size"] = 5 if len(source.data["row"]) <= MAX_LARGE_POINTS else 3.5
     points = figure.add_glyph(
         source,
-        Scatter(**drawn),
-        nonselection_glyph=Scatter(**{**drawn, **muted}),
-        selection_glyph=Scatter(**{**drawn, "fill_alpha": 1.0}),
+        Scatter(**glyph),
+        nonselection_glyph=Scatter(**{**glyph, **muted}),
+        selection_glyph=Scatter(**{**glyph, "fill_alpha": 1.0}),
     )
     fields = [("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")]
     figure.add_tools(
@@ -256,8 +256,8 @@ def _draw_quantity(figure: Any, x: str, y: str, source: ColumnDataSource) -> Non
     )
 
 
-PANELS_IN_A_ROW = 4  # panels side by side, at most
-LEGEND_RUNS = 6  # runs that are named beside their colour
+MAX_PANELS = 4  # panels side by side, at most
+MAX_LEGEND_RUNS = 6  # runs that are named beside their colour
 SIGNS = "●■▲◆▼⬢"  # as MARKERS
 HINT = "Drag over a panel to select readings; the other panels highlight them."
 
@@ -287,7 +287,7 @@ class ResidualPane(Pane):
 
     def show(self, state: Any, other: Any | None = None) -> None:
         """Show a state; `other` is the state to compare it with."""
-        compared, options, previous = None, list[str](), self._state
+        compared, options, previous_state = None, list[str](), self._state
         if other is not None and len(other.calibration.readings) == len(state.calibration.readings):
             compared = np.asarray(other.step.check.residuals, float)
             options = [f"with step {other.number}"]
@@ -300,7 +300,7 @@ class ResidualPane(Pane):
         self.overlay.param.update(options=options, value=options if self.overlay.value else [])
         self.choice.param.update(options=columns, value=names or self._state.choose_columns())
         self._is_updating = False
-        if previous is None or [*previous.covariates] != columns:
+        if previous_state is None or [*previous_state.covariates] != columns:
             self._reset(self._state)
         for panel in self._panels.values():
             panel.show(self._state)
@@ -319,10 +319,10 @@ class ResidualPane(Pane):
         """Show a panel for each selected column; if too many are selected, deselect the earliest."""
         if self._is_updating:
             return
-        new = [n for n in event.new if n not in event.old]
-        previous = [n for n in event.old if n in event.new][-(PANELS_IN_A_ROW - len(new)) :]
-        if len(event.new) > PANELS_IN_A_ROW:
-            self.choice.value = [*previous, *new]
+        new_names = [n for n in event.new if n not in event.old]
+        kept_names = [n for n in event.old if n in event.new][-(MAX_PANELS - len(new_names)) :]
+        if len(event.new) > MAX_PANELS:
+            self.choice.value = [*kept_names, *new_names]
         else:
             self._lay_out()
 
@@ -345,7 +345,7 @@ class ResidualPane(Pane):
                 self._panels[name] = panel
         views = [self._panels[name].view for name in names]
         if [*self.panels] != views:
-            self.panels.css_classes = ["panels", *["of4"] * (len(views) == PANELS_IN_A_ROW)]
+            self.panels.css_classes = ["panels", *["of4"] * (len(views) == MAX_PANELS)]
             self.panels[:] = views
 
     def _fill_source(self, names: Iterable[str] = ()) -> None:
@@ -354,7 +354,7 @@ class ResidualPane(Pane):
         state, compared = self._state, self._state.compared if self.overlay.value else None
         rows = decimate(state.residual, state.output)
         at: dict[str, Any] = {AT + n: state.covariates[n][rows] for n in {*names, *self._panels}}
-        other = np.full(rows.size, np.nan) if compared is None else compared[rows]
+        compared_rows = np.full(rows.size, np.nan) if compared is None else compared[rows]
         levels, runs = state.runs[0], state.runs[1][rows]
         self.source.data = at | {
             "row": rows,
@@ -362,10 +362,10 @@ class ResidualPane(Pane):
             "run": np.array(levels)[runs],
             "residual": state.residual[rows],
             "measured": state.output[rows],
-            FITTED: (state.output - state.residual)[rows],
-            "before": other,
-            "fit before": state.output[rows] - other,
-            "colour": np.array(RUNS)[runs % len(RUNS)],
+            FIT_FIELD: (state.output - state.residual)[rows],
+            "before": compared_rows,
+            "fit before": state.output[rows] - compared_rows,
+            "colour": np.array(COLOURS)[runs % len(COLOURS)],
             # Colour is never the only distinction.
             "marker": np.array(MARKERS)[runs % len(MARKERS)],
         }
@@ -376,22 +376,22 @@ class ResidualPane(Pane):
 
     def _fill_curve(self) -> None:
         """Fill the data source of a preview's curve; empty it if there is no preview."""
-        at = {n: v for n, v in self.source.data.items() if n.startswith(AT)}
+        x_fields = {n: v for n, v in self.source.data.items() if n.startswith(AT)}
         if self._curve is None:
-            self._curves.data = dict.fromkeys([*at, CURVE], np.array([]))
+            self._curves.data = dict.fromkeys([*x_fields, CURVE_FIELD], np.array([]))
         else:
-            self._curves.data = {**at, CURVE: self._curve[self.source.data["row"]]}
+            self._curves.data = {**x_fields, CURVE_FIELD: self._curve[self.source.data["row"]]}
 
 
 def build_legend(levels: Sequence[str]) -> list[Any]:
     """Return the legend of the fit, and of the runs by colour and marker."""
-    entries = [("•", FIT, "fit")]
-    for k, level in enumerate(levels if 1 < len(levels) <= LEGEND_RUNS else ()):
-        entries.append((SIGNS[k % len(SIGNS)], RUNS[k % len(RUNS)], f"run {level[:16]}"))
+    entries = [("•", FIT_COLOUR, "fit")]
+    for k, level in enumerate(levels if 1 < len(levels) <= MAX_LEGEND_RUNS else ()):
+        entries.append((SIGNS[k % len(SIGNS)], COLOURS[k % len(COLOURS)], f"run {level[:16]}"))
     parts: list[Any] = [
         row(label(sign, styles={"color": colour}), label(text, "small"), kinds=("tight",))
         for sign, colour, text in entries
     ]
-    if len(levels) > LEGEND_RUNS:
+    if len(levels) > MAX_LEGEND_RUNS:
         parts.append(label(f"{len(levels)} runs; colours and shapes repeat", "small"))
     return parts

@@ -47,8 +47,8 @@ class ErrorPane(Pane):
         self.find_button = button("Find all", lambda _: page.find_all(), color="primary")
         self.stop_button = button("Stop", lambda _: page.stop(), disabled=True)
         self.progress = label("", "small")
-        room: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
-        self.figure = pn.pane.HTML("", stylesheets=[INSIDE, FIGURE_CSS], **room)
+        sizing: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
+        self.figure = pn.pane.HTML("", stylesheets=[INSIDE, FIGURE_CSS], **sizing)
         buttons = row(self.find_button, self.stop_button, self.progress)
         self.view = column(buttons, pair(self.figure, self.rows), kinds=("bare", "error"))
 
@@ -68,12 +68,12 @@ class ErrorPane(Pane):
         self.progress.object = text
 
 
-COLUMNS = ("step", "rms as fitted", "new run", "held-out", "noise floor", "P(complete)")
+STEP_COLUMNS = ("step", "rms as fitted", "new run", "held-out", "noise floor", "P(complete)")
 STEP_ACTIONS = [
     {"id": "compare", "label": "Compare", "title": "with the current step"},
     {"id": "go", "label": "Go back", "title": "further changes branch off here"},
 ]
-TITLES = {"P(complete)": "probability that no testable candidate is missing"}
+COLUMN_TOOLTIPS = {"P(complete)": "probability that no testable candidate is missing"}
 
 
 def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
@@ -82,17 +82,17 @@ def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list
     for n, state in sorted(states.items()):
         parent, is_branch = states.get(state.parent), state.parent not in (None, n - 1)
         row = state.step.row(parent and parent.step)
-        complete = state.discovery and state.discovery.nothing_missing
+        completeness = state.discovery and state.discovery.nothing_missing
         title = {"number": f"{n} ", "title": state.title + f" (from {state.parent})" * is_branch}
-        steps.append({**row, **title, "nothing_missing": complete, "state": n})
+        steps.append({**row, **title, "nothing_missing": completeness, "state": n})
     table = ws.steps_table(steps)
-    table = table.select(*(c.heading for c in table.printed_columns if c.heading in COLUMNS))
+    table = table.select(*(c.heading for c in table.printed_columns if c.heading in STEP_COLUMNS))
     headers, rows = [c.heading for c in table.columns], []
-    increase = {"held-out": "more than a twentieth above the step before"}
+    increase_title = {"held-out": "more than a twentieth above the step before"}
     for row, (step, *cells) in zip(steps, table.cells, strict=True):
-        titles = TITLES | (increase if row["rises"] else {})
+        tooltips = COLUMN_TOOLTIPS | (increase_title if row["rises"] else {})
         numbers = [
-            {"text": text, "kind": "number", "title": titles.get(head, "")}
+            {"text": text, "kind": "number", "title": tooltips.get(head, "")}
             for head, text in zip(headers[1:], cells, strict=True)
         ]
         is_current = row["state"] == current
@@ -207,7 +207,7 @@ class PythonPane(Pane):
         self.code.value = self.session.script()
 
 
-ERROR = "The error"
+ERROR_TAB = "The error"
 
 
 class Tabs(Pane):
@@ -215,23 +215,23 @@ class Tabs(Pane):
 
     def __init__(self, page: Any) -> None:
         super().__init__(page)
-        self.compare = ComparePane(page)
+        self.compare_pane = ComparePane(page)
         self._panes: dict[str, Pane] = {
-            ERROR: page.errors,
-            "Side by side": self.compare,
+            ERROR_TAB: page.errors,
+            "Side by side": self.compare_pane,
             "Verdict": VerdictPane(page),
             "Files": FilesPane(page),
             "Python": PythonPane(page),
         }
         self._state: Any = None
         self._stale = set[str]()
-        self.selection = radio_buttons([*self._panes], ERROR, "Lower part")
+        self.selection = radio_buttons([*self._panes], ERROR_TAB, "Lower part")
         self.selection.param.watch(lambda _: self._update_pane(), "value")
         self.body = pn.Column(page.errors.view, sizing_mode="stretch_both", margin=0, min_height=0)
         self.view = column(self.selection, self.body, kinds=("pane", "tabs"))
 
     def show(self, state: Any) -> None:
-        self._state, self._stale = state, {*self._panes} - {ERROR}
+        self._state, self._stale = state, {*self._panes} - {ERROR_TAB}
         self._update_pane()
 
     def _update_pane(self) -> None:

@@ -36,31 +36,31 @@ class PageWorker:
     @property
     def busy(self) -> bool:
         """Return whether a job that may change the session is running."""
-        return any(changes for _, changes in self._jobs)
+        return any(is_change for _, is_change in self._jobs)
 
-    def call_on_page(self, call: Callable[[], Any]) -> None:
+    def call_on_page(self, callback: Callable[[], Any]) -> None:
         """Schedule a call in the page's own thread; may be called from any thread."""
         if self._document is not None and self._document.session_context is not None:
-            self._document.add_next_tick_callback(call)
+            self._document.add_next_tick_callback(callback)
         else:
-            call()
+            callback()
 
     def run(
         self,
         job: Callable[[], Any],
-        then: Callable[[Any], None],
+        on_result: Callable[[Any], None],
         *,
         status: str = "",
-        changes: bool = False,
-        failed: Callable[[], None] = lambda: None,
+        is_change: bool = False,
+        on_error: Callable[[], None] = lambda: None,
         is_current: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Run a job in a thread, then call `then(result)`, or `failed()` after an error, on the page.
+        """Run a job in a thread, then call `on_result(result)`, or `on_error()` after an error, on the page.
 
         Args:
-            job, then, failed: functions that are called as described above.
+            job, on_result, on_error: functions that are called as described above.
             status: description of the job, shown on the page; "" for none.
-            changes: whether the job may change the session; if so, the page is busy while it runs.
+            is_change: whether the job may change the session; if so, the page is busy while it runs.
             is_current: function that returns whether the result is still needed; if not, it is discarded.
         """
 
@@ -81,20 +81,20 @@ class PageWorker:
                 self._show_jobs()
             if error and is_current():
                 self._show(error, True)
-                failed()
+                on_error()
             elif is_current() and not is_skipped:
-                then(result)
+                on_result(result)
 
-        entry = status, changes
+        entry = status, is_change
         if status:
             self._jobs.append(entry)
             self._show_jobs()
         self._pool.submit(self._context.copy().run, run_job)
 
-    def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+    def preview(self, job: Callable[[], Any], on_result: Callable[[Any], None]) -> None:
         """Run a job for a preview; its result is discarded if another preview is requested meanwhile."""
         token = self._latest_preview = object()
-        self.run(job, then, is_current=lambda: token is self._latest_preview)
+        self.run(job, on_result, is_current=lambda: token is self._latest_preview)
 
     def forget_preview(self) -> None:
         """Discard the result of the running preview."""

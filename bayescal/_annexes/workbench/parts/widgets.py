@@ -43,8 +43,8 @@ class Text(pn.pane.Str):
     def _transform_object(self, obj: Any) -> dict[str, Any]:
         model = super()._transform_object(ws.escape_html(obj) if obj else "")
         if "table" in self.css_classes:
-            focused = "&lt;pre tabindex=&quot;0&quot;&gt;"
-            model["object"] = model["object"].replace("&lt;pre&gt;", focused, 1)
+            focusable_tag = "&lt;pre tabindex=&quot;0&quot;&gt;"
+            model["object"] = model["object"].replace("&lt;pre&gt;", focusable_tag, 1)
         return model
 
 
@@ -136,8 +136,8 @@ class Rows(JSComponent):
 
     def __init__(self, on_press: Callable[[str, str], None] | None = None, **settings: Any) -> None:
         """Make the list; `on_press` is called with the ids of the row and of the action when a button is pressed."""
-        room = {"margin": 0, "sizing_mode": "stretch_both", "styles": {"min-height": "0"}}
-        super().__init__(**{**room, **settings})
+        sizing = {"margin": 0, "sizing_mode": "stretch_both", "styles": {"min-height": "0"}}
+        super().__init__(**{**sizing, **settings})
         self._on_press = on_press
 
     def _handle_msg(self, data: Any) -> None:
