@@ -635,7 +635,7 @@ class ReportCommand(DefinitionOptions, DecisionRule, AsJson, Command):
             f"written: {self.out}",
             {"file": str(self.out), "chapters": len(chapters)},
             why=" ".join(reason for v in verdicts if not v["ok"] for reason in v["reasons"]),
-            warning=decisions.doubt if decisions else "",
+            warning=decisions.warning if decisions else "",
             drawn=draw_safely(report),
         )
 

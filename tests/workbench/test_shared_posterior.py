@@ -97,7 +97,7 @@ def test_clicks_and_calibrate_give_one_model_and_one_result(
             break
         page.add(found[0])
     assert names == set(trail.final.calibration.model.names)
-    value, sd = estimate(bc.decide(page.session.trail().calibration, [LIMIT]))
+    value, sd = estimate(bc.decide(page.session.search_path().calibration, [LIMIT]))
     expected, expected_sd = estimate(bc.decide(trail.calibration, [LIMIT]))
     assert value == pytest.approx(expected, abs=0.1 * expected_sd)
     assert sd == pytest.approx(expected_sd, rel=0.05)

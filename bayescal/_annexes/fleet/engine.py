@@ -91,7 +91,7 @@ def run_tasks(
 ) -> list[Outcome]:
     """Run a function with each task's arguments under this process's settings; return the outcomes in order.
 
-    Progress lines count the completed tasks, called `noun` (plural). The outcome of a task that is not completed before
+    Progress lines count the completed tasks, called `plural_noun`. The outcome of a task that is not completed before
     the deadline is an error message.
     """
     outcomes = dict[int, Outcome]()

@@ -40,10 +40,10 @@ class DeviceStructure:
     prior: Mapping[str, float]
     # set of effects → natural logarithm of the evidence, summed over noise laws, up to a constant
     log_evidence: Mapping[tuple[str, ...], float]
-    # effects, families: effects of the median-probability structure: their forms, and the families of these forms
+    # effects, families: forms of effects in the median-probability structure, and the families of these forms
     effects: tuple[str, ...] = ()
     families: frozenset[str] = frozenset()
-    possible: frozenset[str] = frozenset()  # in sets of effects of which one is missing, P > 0.95
+    possible: frozenset[str] = frozenset()  # in findings: sets of which one at least is missing
 
 
 def search_device(
@@ -52,7 +52,7 @@ def search_device(
     candidates: tuple[bc.Effect, ...],
     reference: Mapping[str, Any],
 ) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
-    """Search one device's structures; return the result, the median-probability model, and φ by name at its mode.
+    """Search one device's structures; return the result, the median-probability model, and its φ by name at the mode.
 
     Raises:
         BayescalError: the readings lack a column that the model needs.
@@ -170,7 +170,7 @@ def add_effects(
     candidates: Sequence[bc.Effect],
     families: Collection[str],
 ) -> bc.Model:
-    """Add families of effects to the model of all devices, each in the form that most devices have.
+    """Add the families of effects named `families` to a model, each in the form that most devices' structures have.
 
     Placeholders are not added; `candidates` are user-defined effects.
     """

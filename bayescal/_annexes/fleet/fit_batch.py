@@ -167,7 +167,7 @@ def fit_batch(
 def _fit_and_compare(
     client: Client | None, request: Request, devices: Devices, file_errors: dict[str, str]
 ) -> BatchResult:
-    """Fit all devices and find the outlying ones; raise InputError if no device can be used."""
+    """Fit all devices, refit those with improbable effects, find outliers; raise InputError if no device is usable."""
     model, reference, method = request.model, request.reference, request.method.name
     with ws.track("fitting devices"):
         results = fit_all(client, request, devices)

@@ -375,7 +375,7 @@ def _parse_axis(name: str, autopilot: Autopilot) -> Axis:
 
 
 def _find_common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
-    """Return the temperature range in which all of these axes were calibrated, °C."""
+    """Return the temperature range in which all of these axes were calibrated, °C; raise InputError if it is empty."""
     low, high = max(r.low for r in axes.values()), min(r.high for r in axes.values())
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in axes.items())
@@ -388,7 +388,7 @@ def _find_common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
 def _find_device_ids(
     by_axis: Mapping[Axis, bc.Compensator], stated_ids: Mapping[str, int]
 ) -> dict[str, int]:
-    """Return the device_id of each sensor: the stated one, otherwise the one in the calibration's log."""
+    """Return sensor → device_id, stated or of the calibration's log; raise InputError if they are contradictory."""
     device_ids = dict[str, int]()
     for a, c in by_axis.items():
         readings = c.calibration.readings
@@ -422,7 +422,7 @@ def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compens
                 f"from {p.low:.1f} to {p.high:.1f} °C."
             )
         if p.offsets.has_scale:
-            notes.append(f"{a}: the calibrated scale factor is omitted: it has no parameter.")
+            notes.append(f"{a}: the calibrated scale factor is omitted for lack of a parameter.")
         if reason := compensators[a].why_not:
             notes.append(f"{a}: {ws.NOT_RELIABLE}{reason}")
     return [*notes, "Outside its range, a correction keeps its value at the nearest limit."]
@@ -451,7 +451,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
 def _sort_by_axis(
     loaded: Sequence[tuple[Path, bc.Compensator]], cmd: ws.ExportCommand
 ) -> dict[str, bc.Compensator]:
-    """Return the compensator of each axis; the axis is named in the calibration's readings or by --axis."""
+    """Return axis → compensator; raise InputError if readings and --axis name no axis, or one axis is given twice."""
     compensators = dict[str, bc.Compensator]()
     candidates = [(find_axis(c.calibration), p, c) for p, c in loaded]
     pairs = ws.parse_pairs(cmd.axis, "--axis").items()

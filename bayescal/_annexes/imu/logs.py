@@ -133,8 +133,8 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
         channels |= build_channels("acc", FORCE_UNIT, (samples[f"Acc{a}"] for a in "XYZ"), int(i))
         sensors.append(Sensor(samples["TimeUS"] * 1e-6, channels, samples["T"].astype(float)))
     return sensors, [
-        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction on: effects found are residual "
-        "effects after that correction"
+        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction on; effects found are those "
+        "that remain after it"
         for n in corrected_imus
     ]
 

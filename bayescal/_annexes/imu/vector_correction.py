@@ -336,7 +336,7 @@ POWERS = {"": "", " by T − T0": "/degC", " by (T − T0)²": "/degC^2", " by (
 def list_terms(
     terms: ArrayLike, uncertainty: ArrayLike, unit: str, secondary_columns: Sequence[str]
 ) -> list[TermRow]:
-    """Return a row for each non-zero term of a correction, with its standard uncertainty (both (k, p), as `terms`)."""
+    """Return a row for each non-zero term; `terms` and their `uncertainty` are (k, p), as in `VectorCorrection`."""
     axes, terms, base = "xyz", np.asarray(terms, float), f"({unit})" if "/" in unit else unit
     names = [(f"offset {a}", unit) for a in axes]
     names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]

@@ -112,7 +112,7 @@ PARAMETER_NAMES = {
 def convert_to_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
-    """Return parameters of an autopilot's first sensor, by name, and a sentence on the terms that they omit."""
+    """Return name → parameter of a first sensor, and the terms omitted; raise InputError if it has no parameters."""
     for unit in PARAMETER_NAMES[autopilot]:
         with suppress(bc.InputError):  # of another dimension
             factor = float(ws.convert(1.0, correction.unit, unit))

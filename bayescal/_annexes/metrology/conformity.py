@@ -417,7 +417,7 @@ def find_quantity(
         spans.append((name, low, high))
     n_varied = sum(high > low and name in operating_point for name, low, high in spans)
     if n_varied > max(GRID_SIZES):
-        raise bc.InputError(f"limit {limit.text!r} has more than {max(GRID_SIZES)} ranges")
+        raise bc.InputError(f"limit {limit.text!r}: state at most {max(GRID_SIZES)} ranges")
     axes = {n: np.array([value]) for n, value in operating_point.items()}
     for name, low, high in spans:
         if name in operating_point:
@@ -448,7 +448,7 @@ def find_quantity(
 
 
 def _convert_limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
-    """Return the tolerance limits in the unit of the quantity."""
+    """Return the tolerance limits in the quantity's unit; raise InputError if theirs is missing or incompatible."""
     if not limit.unit and ws.unit_label(unit):
         raise bc.InputError(
             f"limit {limit.text!r} has no unit: {limit.quantity} is in {ws.unit_label(unit)}"
@@ -495,7 +495,7 @@ def _find_unknown(
 def _resolve_range(
     compensator: bc.Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
-    """Return the column of a range, and its ends in that column's unit."""
+    """Return a range's column, and its ends in that column's unit; raise InputError if it is unknown or ambiguous."""
     readings, inputs = compensator.calibration.readings, _list_input_units(compensator)
     units = inputs | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in inputs}
     units.pop("output", None)
@@ -541,7 +541,7 @@ def _check_range(compensator: bc.Compensator, name: str, low: float, high: float
 def convert_population(
     quantity: LimitedQuantity, devices: DevicePopulation
 ) -> tuple[float, float] | None:
-    """Return a population's mean and sd in the quantity's unit; None if the population is of another quantity."""
+    """Return a population's mean and sd in the quantity's unit; None for errors, ranges, no mean, other dimensions."""
     unit, target_unit = devices.unit or "1", quantity.unit or "1"
     is_over_range = any(r.high > r.low for r in quantity.limit.ranges)
     if quantity.is_error or is_over_range or not ws.same_dimension(unit, target_unit):

@@ -184,6 +184,7 @@ class Decision:
     notes: tuple[str, ...]  # one sentence each
 
 
+@ws.renamed(doubt="warning", withheld="withhold")
 @dataclass(frozen=True, repr=False)
 class Decisions(ws.Printed):
     """Decisions about the limits of one device."""
@@ -195,9 +196,9 @@ class Decisions(ws.Printed):
     calibration: str  # identity of the calibration
     notes: tuple[str, ...] = ()  # on all decisions, one sentence each
 
-    def withheld(self, why: str) -> Decisions:
-        """Return a copy with all decisions undecided, because the calibration is unreliable for the reason `why`."""
-        reason = NOT_RELIABLE.format(why.rstrip("."))
+    def withhold(self, reason: str) -> Decisions:
+        """Return a copy with all decisions undecided, because the calibration is unreliable for the given reason."""
+        reason = NOT_RELIABLE.format(reason.rstrip("."))
         decisions = (replace(d, decision=UNDECIDED, why=reason, risk=None) for d in self.decisions)
         return replace(self, decisions=tuple(decisions))
 
@@ -207,8 +208,8 @@ class Decisions(ws.Printed):
         return all(d.decision == ACCEPT for d in self.decisions)
 
     @property
-    def doubt(self) -> str:
-        """Return a message with the limits that are not met or undecided; empty if all are met."""
+    def warning(self) -> str:
+        """Return a warning that names the limits that are not met or undecided; empty if all are met."""
         unmet_limits = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
         return f"not shown to conform: {', '.join(unmet_limits)}" * bool(unmet_limits)
 
@@ -216,7 +217,7 @@ class Decisions(ws.Printed):
         """Build a report's foreword with the decisions; they are withheld if a chapter's verdict is negative."""
         for chapter in chapters:
             if not chapter.data["verdict"]["ok"] and self.calibration == ws.identity(chapter.used):
-                return self.withheld(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
+                return self.withhold(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
         table = self.table()
         why = ws.TableColumn("why", lambda d: "\n".join((d.why, *format_statement(d)[1:])))
         conclusion = "Every limit is met, by the rule below."

@@ -38,7 +38,7 @@ class DecideCommand(ws.MemberOptions, ws.DecisionRule, ws.AsJson, ws.Command):
         )
         if self.out is not None:
             ws.write_json(decisions.to_json_data(), self.out, indent=1)
-        return ws.Answer(decisions, warning=decisions.doubt)
+        return ws.Answer(decisions, warning=decisions.warning)
 
 
 def export_certificate(command: ws.ExportCommand) -> ws.Answer:

@@ -168,7 +168,7 @@ def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
 
 
 def estimate_noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
-    """Estimate the noise coefficients of a record simulated with `true`: N, K, B (°/s, s); `angle`: quantum, °."""
+    """Simulate n readings with noise coefficients `true` (N, K, B in °/s, s; `angle`: quantum, °); estimate them."""
     rng, sizes = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
     rate = sizes["N"] / step**0.5 * rng.standard_normal(n)
     rate += sizes["K"] * step**0.5 * np.cumsum(rng.standard_normal(n))
@@ -191,7 +191,7 @@ def compute_allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
 def fit_instrument(
     name: str, grid: Any, output: str, true: Any, u: float, add: Any = ()
 ) -> dict[str, float]:
-    """Fit an installed instrument to exact outputs on a full grid of input columns; return estimates by effect."""
+    """Fit an installed instrument, with effects `add`, to exact outputs on a grid; return effect → estimate."""
     sensor = ws.instrument_named(name)
     columns: dict[str, Any] = dict(
         zip(grid, (m.ravel() for m in np.meshgrid(*grid.values())), strict=True)

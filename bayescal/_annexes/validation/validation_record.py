@@ -62,7 +62,7 @@ class Section(NamedTuple):
 
 @cache
 def load_clauses() -> dict[str, Any]:
-    """Load clauses.toml."""
+    """Return the content of clauses.toml: standards, and clauses with their certified values."""
     return tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))
 
 
@@ -172,7 +172,7 @@ def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
 
 
 def describe_installation() -> dict[str, str]:
-    """Return date, versions, machine and digests."""
+    """Return date, versions, machine and file digests of this installation, by label."""
     entries = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **ws.versions("jaxlib")}
     parts = platform.python_implementation(), platform.machine(), platform.platform()
     entries["machine"] = ", ".join(parts)

@@ -174,7 +174,7 @@ class Session:
         saved_session, effects = store.load_session(self.folder), tuple(self.effects.values())
         instruments = () if model.instrument.name in ws.list_installed() else (model.instrument,)
         for n, entry in enumerate(saved_session.states):
-            path = store.fit_path(self.folder, n)
+            path = store.locate_calibration(self.folder, n)
             calibration = bc.load(path, effects=effects, instruments=instruments)
             if not calibration.readings.same_as(self.readings):
                 raise bc.InputError(
@@ -187,7 +187,7 @@ class Session:
             formulas = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
             self.effects |= {e.name: e for e in formulas}
         self._current_number = saved_session.current
-        store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # incomplete state
+        store.locate_calibration(self.folder, len(self._states)).unlink(missing_ok=True)
 
     @property
     def states(self) -> Mapping[int, State]:
@@ -384,7 +384,7 @@ class Session:
         """Return a Python script that reproduces the current state, with identical numbers."""
         return self._script(self.path())
 
-    def trail(self, state: State | None = None) -> bc.SearchPath:
+    def search_path(self, state: State | None = None) -> bc.SearchPath:
         """Return the search path to a state (None: the current one), in the form that `calibrate` returns; cached.
 
         Its last model is fitted by the requested method. After a complete search, the calibration of the path is an
@@ -393,10 +393,10 @@ class Session:
         state = state or self.current
         with self._fit_lock:
             if state.number not in self._paths:
-                self._paths[state.number] = self._build_trail(state)
+                self._paths[state.number] = self._build_search_path(state)
             return self._paths[state.number]
 
-    def _build_trail(self, state: State) -> bc.SearchPath:
+    def _build_search_path(self, state: State) -> bc.SearchPath:
         blank, path = self._blank_search, self.path(state.number)
         step = blank.fit_step(state.model, blank.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, description=state.step.description)
@@ -415,7 +415,7 @@ class Session:
 
     def verdict(self) -> str:
         """Format the verdict: whether the current model may be used, and the verdict of its fit."""
-        trail = self.trail()
+        trail = self.search_path()
         use_text = "This result may be used." if trail.ok else "Not to be used as it is."
         texts = (use_text, trail.gate.reason, str(trail.final.calibration.verdict))
         return "\n\n".join([*(ws.fold_text(t, "") for t in texts if t), str(trail)])
@@ -448,7 +448,7 @@ class Session:
             InputError, ModelError: an unknown format, or the model cannot be exported in it.
         """
         state = self.current
-        trail, folder = self.trail(state), self.folder / f"result_{state.number:03d}"
+        trail, folder = self.search_path(state), self.folder / f"result_{state.number:03d}"
         folder.mkdir(exist_ok=True)
         with suppress(bc.NotDrawn):  # a report states missing pictures, an export needs none
             ws.save_search(trail, folder)
@@ -477,7 +477,7 @@ class Session:
         with self._tree_lock:
             number = len(self._states)
             state = State(number, parent, step, discovery)
-            if (file := store.fit_path(self.folder, number)).exists():
+            if (file := store.locate_calibration(self.folder, number)).exists():
                 raise bc.InputError(
                     f"{file} was created meanwhile by another workbench in this folder: end one of them"
                 )

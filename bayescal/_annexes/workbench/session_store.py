@@ -131,8 +131,8 @@ class SavedSession:
             raise ValueError(f"there is no step {self.current}")
 
 
-def fit_path(folder: Path, number: int) -> Path:
-    """Return the path of a state's calibration."""
+def locate_calibration(folder: Path, number: int) -> Path:
+    """Return the path of the calibration of state `number` in a session's folder."""
     return folder / f"state_{number:03d}.nc"
 
 
@@ -178,7 +178,7 @@ def generate_script(
         c, is_gaussian = state.calibration, state.model.noise.gaussian
         step = {
             "title": ws.to_printable(f"{state.number} {state.title}"),
-            "file": str(fit_path(folder, state.number)),
+            "file": str(locate_calibration(folder, state.number)),
             "method": format_method(ws.QUICK if is_gaussian else settings.method),
             "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
         }
