@@ -74,7 +74,7 @@ def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -
         return {"nan": "–", "0": "not resolved"}.get(text, text) if isinstance(v, float) else text
 
     formats = {n: ws.unit_label if n == "unit" else format_cell for n in table.columns}
-    columns = (ws.TableColumn(headers.get(n, n), n, show) for n, show in formats.items())
+    columns = (ws.TableColumn(headers.get(n, n), n, formatter) for n, formatter in formats.items())
     return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
@@ -153,13 +153,13 @@ def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
     """Split a results table by device; raise ValueError if rows of a device are missing or not contiguous."""
     fits = list[DeviceResult]()
     for name, device_rows in groupby(rows.to_pylist(), lambda row: row["device"]):
-        first, *_ = group_rows = [*device_rows]
+        first_row, *_ = group_rows = [*device_rows]
         format_rows = [row for row in group_rows if row["coefficient"] is not None]
         keys = ("coefficient", "unit", "mean", "covariance")
         names, units, mean, covariance = ([row[key] for row in format_rows] for key in keys)
         moments = np.array(mean), np.reshape(covariance, (len(mean), len(mean)))
-        fields = (*names,), (*units,), *moments, first["readings"], first["T0"]
-        fits.append(DeviceResult(name, first["reason"], *fields))
+        fields = (*names,), (*units,), *moments, first_row["readings"], first_row["T0"]
+        fits.append(DeviceResult(name, first_row["reason"], *fields))
     if len({fit.device for fit in fits}) < len(fits):
         raise ValueError("rows of a device are not contiguous")
     return tuple(fits)

@@ -206,13 +206,13 @@ def read_devices(
     values, units, rows, reasons = _convert_usable_rows(table, codes, names, expected, options)
     measurements, required = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
     starts = np.flatnonzero(np.diff(codes[rows], prepend=-1))
-    for first, end in itertools.pairwise([*starts, len(rows)]):
-        name = names[codes[rows[first]]]
-        device = {n: column[first:end] for n, column in values.items()}
+    for start, end in itertools.pairwise([*starts, len(rows)]):
+        name = names[codes[rows[start]]]
+        device = {n: column[start:end] for n, column in values.items()}
         if error := _find_device_error(device, name, {"temperature"} <= required & device.keys()):
             reasons[name] = error
         else:
-            source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
+            source = Source(f"{table.file}, device {name}", table.sha256, int(end - start))
             measurements[name] = bc.Measurements(device, units, (source,), output=output)
     return Devices(names, measurements, reasons)
 

@@ -5,7 +5,7 @@ The search is that of `calibrate`, without the checks and figures of each step.
 Several devices can distinguish alternative effects that one device cannot. The model is hierarchical: the fleet has
 an effect or not; if it has, the share of devices with it has a uniform prior; given the shares, devices are
 independent, each with the evidences of its structures. Shares and structures are sampled in turn (Gibbs sampling: S.
-Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). For a fleet of one, they agree with the device's search.
+Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). For a single device, they agree with its search.
 """
 
 from __future__ import annotations
@@ -198,5 +198,5 @@ def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd
         table[column] = [counts[name] for name in table["effect"]]
     is_found = (table[["devices", "possible"]] > 0).any(axis=1)
     table = table[is_found | (table["expected"] > MIN_EXPECTED_DEVICES)]
-    order = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}
-    return table.sort_values(**order)[EFFECT_COLUMNS]
+    sort_options = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}
+    return table.sort_values(**sort_options)[EFFECT_COLUMNS]

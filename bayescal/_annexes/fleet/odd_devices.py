@@ -1,4 +1,4 @@
-"""Detection of outlying devices, whose reference temperature, a coefficient or noise differs from the others'.
+"""Detection of outlying devices by their reference temperatures, coefficients and noise standard deviations.
 
 All devices are fitted with one model at one reference temperature. Each quantity of a device is compared with its
 predictive distribution given the other devices: for a value x of standard uncertainty √v in a normal population,
@@ -11,7 +11,7 @@ the limits are added until the set is stable. For an inlier, μ and τ² are lea
 A device that lacks, or alone has, an effect differs in the effect's coefficient, which is near zero without the effect.
 A noise σ of r degrees of freedom is compared by σ^(2/3), nearly normal with the relative variance 2/(9r).
 
-The family-wise false-alarm rate is 1 %: over all devices and quantities, one fleet in 100 without outliers has one.
+The family-wise false-alarm rate is 1 %: of fleets without outliers, one in 100 has an outlying device or more.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); F. E. Satterthwaite, Biometrics
 Bull. 2 (1946) 110; E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684.
 """
@@ -53,8 +53,8 @@ def find_outlying_devices(
     t0 = t0.loc[[*reliable_fits]].dropna()
     p, t0_mean = compute_p_values(t0.to_numpy(), np.full(len(t0), T0_SD_DEGC**2), np.inf, alpha)
     for device, temperature in t0.loc[p < alpha].items():
-        text = f"measured near {ws.number(temperature)} °C, the others near {ws.number(t0_mean)} °C"
-        outliers[str(device)] = [f"{text}: its values are not compared"]
+        means = f"{ws.number(temperature)} °C, other devices near {ws.number(t0_mean)} °C"
+        outliers[str(device)] = [f"measured near {means}: its values are not compared"]
     fits = [fit for device, fit in reliable_fits.items() if device not in outliers]
     residual_dof = np.array([max(1.0, fit.reading_count - len(names) + 1) for fit in fits])
     for name in names:
@@ -68,7 +68,7 @@ def find_outlying_devices(
         inlier_mean = ws.number(abs(centre) ** (1 / power) if power < 1 else centre)
         for i in np.flatnonzero(p < alpha).tolist():
             unit = ws.unit_label(fits[i].units[fits[i].names.index(name)])
-            text = f"{name} {ws.number(mean[i])}, the others {inlier_mean} {unit}"
+            text = f"{name} {ws.number(mean[i])}, other devices {inlier_mean} {unit}"
             outliers.setdefault(fits[i].device, []).append(text.rstrip())
     return outliers
 

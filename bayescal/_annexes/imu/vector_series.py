@@ -170,12 +170,12 @@ def _list_notes(
             f"{s} {ws.number(sd, 2)} {model.instrument.slot(s).unit}" for s, sd in slot_sds.items()
         )
         groups = {c.per for c in model.effect(name).coefficients if c.per}
-        subject = (
+        contribution = (
             f"the deviation of a new {' or '.join(groups)}"
             if groups
             else "the effect is specific to the test and not corrected; its variation during the test"
         )
-        notes.append(f"{name}: {subject} is in the uncertainty (standard deviation {sds}).")
+        notes.append(f"{name}: {contribution} is in the uncertainty (standard deviation {sds}).")
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
             "One session: changes between sessions, which can exceed the stated uncertainty, are not included. "

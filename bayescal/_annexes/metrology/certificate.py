@@ -271,5 +271,5 @@ def _round_value(value: float, uncertainty: float) -> str:
     """Round a number to the second significant digit of its uncertainty; keep it if the uncertainty is zero."""
     if not uncertainty > 0:
         return repr(value)
-    place = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)
-    return str(Decimal(value).quantize(place))
+    last_digit = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)
+    return str(Decimal(value).quantize(last_digit))

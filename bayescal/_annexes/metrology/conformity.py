@@ -221,7 +221,7 @@ class DrawnQuantity:
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Return the probability of conformity of the posterior shifted by `shift`.
 
-        It is that of all points, or, with scatter, that of one reading at the least favourable point.
+        Without scatter all points must conform; with scatter, one reading at the least favourable point.
         """
         if not self.scatter.any():
             lowest, highest = self.extremes

@@ -4,13 +4,13 @@ There are two decision rules; laboratory and customer agree on one beforehand (I
 
 - *simple*: accept if the estimate is inside the limits, whatever its uncertainty; the risk is shared (JCGM 106:2012,
   8.2);
-- *guarded*: accept if the probability of false acceptance is at most the stated one, that is, if the estimate is inside
-  the limits by the guard bands; reject if the probability of false rejection is at most that; otherwise undecided (8.3;
-  in ILAC-G8:09/2019 a non-binary statement with guard bands).
+- *guarded*: accept if the probability of false acceptance is at most `false_accept`, that is, if the estimate is inside
+  the limits by the guard bands; reject if the probability of false rejection is at most `false_accept`; otherwise
+  undecided (8.3; in ILAC-G8:09/2019 a non-binary statement with guard bands).
 
 Recalibration is due when drift, the part of the model that changes with the time of the record, lowers the probability
-of conformity below a stated one. Deviations of runs lower it equally at all times, and determine no date. If nothing in
-the model changes with time, the reason is reported (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
+of conformity below `min_conformity`. Deviations of runs lower it equally at all times, and determine no date. Without a
+change in time, the reason is reported (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
 """
 
 from __future__ import annotations
@@ -387,8 +387,8 @@ def decide(
         text = f"{false_accept:g} (--false-accept, false_accept=)"
         raise bc.InputError(f"{text}: expected a probability above 0, below 0.5, such as 0.025")
     if not 0.5 <= min_conformity < 1:
-        text = f"min_conformity = {min_conformity:g}"
-        raise bc.InputError(f"{text}: expected a probability from 0.5 and below 1, such as 0.95")
+        text = f"the conformity probability {min_conformity:g} is out of range"
+        raise bc.InputError(f"{text}: expected one from 0.5 and below 1, such as 0.95")
     texts = [limits] if isinstance(limits, str) else list(limits)
     if not texts:
         raise bc.InputError('no limit is given: give one, such as "bias: ±0.5 °/s"')

@@ -154,7 +154,7 @@ def _parse_values(quantity: ET.Element, unit: str, is_difference: bool) -> np.nd
 
 
 def _parse_unit(text: str, *further_texts: str) -> tuple[float, str]:
-    """Convert a D-SI unit to a factor and a unit of bayescal; the latter is "" if unknown, or with `further_texts`."""
+    """Return the factor and the unit of bayescal for a D-SI unit; the unit is "" if unknown, or for several texts."""
     factor, names = 1.0, ["1"]
     if further_texts or _D_SI_PART.sub("", text):
         return 0.0, ""

@@ -182,10 +182,10 @@ def estimate_noise(seed: int, n: int, step: float, true: Mapping[str, float]) ->
 
 def compute_allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
     """Compute the Allan deviation of the pseudo-random sequence in NIST SP 1065, section 12."""
-    sequence = [seed]
-    while len(sequence) < n:
-        sequence.append(16807 * sequence[-1] % 2147483647)
-    return bc.allan_deviation(_at_rest(np.array(sequence) / 2147483647, 1.0))
+    values = [seed]
+    while len(values) < n:
+        values.append(16807 * values[-1] % 2147483647)
+    return bc.allan_deviation(_at_rest(np.array(values) / 2147483647, 1.0))
 
 
 def fit_instrument(

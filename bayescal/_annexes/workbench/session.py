@@ -287,10 +287,10 @@ class Session:
                 self._cache_discovery(number, discovery)
         return discovery
 
-    def find_all(self, follow: Callable[[bc.SearchPath], None] = lambda _: None) -> None:
+    def find_all(self, report: Callable[[bc.SearchPath], None] = lambda _: None) -> None:
         """Search from the current state as `calibrate` does; each step becomes a state.
 
-        The search ends soon after a call of `stop`. `follow` is called with the search path so far, as by `calibrate`.
+        The search ends soon after a call of `stop`. `report` is called with the search path so far, as by `calibrate`.
 
         Raises:
             ModelError: the fit of the current model has failed.
@@ -299,7 +299,7 @@ class Session:
         if state.step.failures and not self._blank_search.free_contradicted(state.step):
             raise bc.ModelError(f"no search is possible: {' '.join(state.step.failures)}")
         with self._exclude_searches():
-            search, structure = self._search_at(state, follow)
+            search, structure = self._search_at(state, report)
             steps, number = [state.step], state.number
             for last, chosen, discovery in search.iterate_path(search.chosen_structure, structure):
                 if last is None:
@@ -307,7 +307,7 @@ class Session:
                     continue
                 steps.append(search.fit_structure(chosen, last))
                 number = self._append(steps[-1], number, discovery).number
-                follow(search.build_path(steps=steps))
+                report(search.build_path(steps=steps))
 
     @contextmanager
     def _exclude_searches(self) -> Iterator[None]:
@@ -316,7 +316,7 @@ class Session:
             yield
 
     def _search_at(
-        self, state: State, follow: Callable[[bc.SearchPath], None] | None = None
+        self, state: State, report: Callable[[bc.SearchPath], None] | None = None
     ) -> tuple[ws.StepwiseSearch, ws.Structure]:
         """Return the search for effects missing from a state, and the state's structure in it.
 
@@ -325,20 +325,20 @@ class Session:
 
         Args:
             state: state to search from.
-            follow: callback with the search path so far; only with it is a stopped search continued.
+            report: callback with the search path so far; only with it is a stopped search continued.
         """
         first, blank_search = self.states[0], self._blank_search
         effects = [e for e in first.model.effects if blank_search.is_reconsidered(e, first.model)]
-        search = self._search_over(reduce(sub, effects, first.model), effects, follow)
+        search = self._search_over(reduce(sub, effects, first.model), effects, report)
         if (structure := _find_structure(state.model, search)) is None:
-            search, structure = self._search_over(state.model, (), follow), ws.Structure()
+            search, structure = self._search_over(state.model, (), report), ws.Structure()
         return search, structure
 
     def _search_over(
         self,
         core: bc.Model,
         effects: Sequence[bc.Effect],
-        follow: Callable[[bc.SearchPath], None] | None,
+        report: Callable[[bc.SearchPath], None] | None,
     ) -> ws.StepwiseSearch:
         """Return the search over models that add some of `effects` and candidates to `core`; run it unless cached."""
         search = next((s for s in self._searches if s.steps[0].calibration.model == core), None)
@@ -348,9 +348,9 @@ class Session:
             first = next(steps, None) or search.fit_step(core, search.step_method(core))
             extra = (*self.effects.values(), *search.free_contradicted(self.states[0].step))
             search.list_structures(first, extra, self.settings.widen_noise)
-        if search.stopped and (is_new or follow is not None):
+        if search.stopped and (is_new or report is not None):
             with ws.deadline.shorten(ws.SEARCH_TIME_SHARE):
-                search.run_search(lambda: None if follow is None else follow(search.build_path()))
+                search.run_search(lambda: None if report is None else report(search.build_path()))
             searches = [*(s for s in self._searches if s is not search), search]
             self._searches = searches[-MAX_CACHED_SEARCHES:]
         return search

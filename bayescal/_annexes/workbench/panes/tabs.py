@@ -1,7 +1,7 @@
 """Lower part of the workbench page: tabs with errors of all steps, comparison, verdict, files and Python script.
 
 The error tab has the tree of steps, with the path to the current one and buttons to go back, and the progress of the
-whole search. The other tabs compare two steps, show the verdict, write files, and show the steps in Python.
+search. The other tabs compare two steps, show the verdict, write files, and show the steps in Python.
 """
 
 from __future__ import annotations

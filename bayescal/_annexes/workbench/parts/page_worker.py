@@ -58,7 +58,7 @@ class PageWorker:
         """Run a job in a thread, then call `on_result(result)`, or `on_error()` after an error, on the page.
 
         Args:
-            job, on_result, on_error: functions that are called as described above.
+            job, on_result, on_error: function to run, and functions that are called after its success or failure.
             status: description of the job, shown on the page; "" for none.
             is_change: whether the job may change the session; if so, the page is busy while it runs.
             is_current: function that returns whether the result is still needed; if not, it is discarded.
