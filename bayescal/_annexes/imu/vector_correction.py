@@ -72,8 +72,8 @@ class CorrectedVector:
         return np.sqrt(np.abs(np.einsum("in,nij,jn->n", gradient, self.covariance, gradient)))
 
 
-@ws.renamed(reach="max_input", against="reason", assumed="default_temperature")
-@ws.renamed(beside="secondary_columns", data="to_json_data")
+@ws.renamed(assumed="default_temperature", data="to_json_data")
+@ws.renamed(reach="max_input", against="reason", beside="secondary_columns")
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
     """Correction of three outputs, at a temperature, to the input vector with its covariance; call it with outputs.
