@@ -120,7 +120,7 @@ def convert_to_parameters(
     else:
         raise bc.InputError(
             f"{autopilot} has parameters for accelerometers and gyroscopes only, but these outputs are in "
-            f"[{correction.unit}]"
+            f"[{correction.unit}]: choose another format"
         )
     names = PARAMETER_NAMES[autopilot][unit]
     offset, scale, note = fit_offset_and_scale(correction, len(names) > 1)

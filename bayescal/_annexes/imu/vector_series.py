@@ -46,7 +46,7 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     """
     instrument = calibration.model.instrument
     if (vector := instrument.vector) is None:
-        message = f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
+        message = f"instrument {instrument.name!r} has one output: use bayescal.compensator"
         raise bc.ModelError(message)
     columns = set().union(*(e.columns for e in calibration.model.effects))
     columns -= {TEMPERATURE, *vector.secondary_columns} - calibration.usual_columns

@@ -184,7 +184,7 @@ def describe_installation() -> dict[str, str]:
 
 
 def hash_folders(*folders: Path) -> str:
-    """Return a SHA-256 over paths and digests of all files of some folders, in the order of their paths."""
+    """Return a SHA-256 over the paths and digests of all files in `folders`, in the order of their paths."""
     file_digests = hashlib.sha256()
     for folder in folders:
         for file in sorted(folder.rglob("*")):

@@ -282,7 +282,7 @@ class Session:
         number = self.current.number
         with self._exclude_searches():  # another page may run the same search
             if (discovery := self.states[number].discovery) is None:
-                search, structure = self._search_at(self.states[number])
+                search, structure = self._find_search(self.states[number])
                 discovery = search.find_missing(structure)
                 self._cache_discovery(number, discovery)
         return discovery
@@ -299,7 +299,7 @@ class Session:
         if state.step.failures and not self._blank_search.free_contradicted(state.step):
             raise bc.ModelError(f"no search is possible: {' '.join(state.step.failures)}")
         with self._exclude_searches():
-            search, structure = self._search_at(state, report)
+            search, structure = self._find_search(state, report)
             steps, number = [state.step], state.number
             for last, chosen, discovery in search.iterate_path(search.chosen_structure, structure):
                 if last is None:
@@ -315,7 +315,7 @@ class Session:
         with self._search_lock, ws.deadline.limit(self.settings.time_limit) as self._deadline:
             yield
 
-    def _search_at(
+    def _find_search(
         self, state: State, report: Callable[[bc.SearchPath], None] | None = None
     ) -> tuple[ws.StepwiseSearch, ws.Structure]:
         """Return the search for effects missing from a state, and the state's structure in it.
@@ -329,12 +329,12 @@ class Session:
         """
         first, blank_search = self.states[0], self._blank_search
         effects = [e for e in first.model.effects if blank_search.is_reconsidered(e, first.model)]
-        search = self._search_over(reduce(sub, effects, first.model), effects, report)
+        search = self._run_search(reduce(sub, effects, first.model), effects, report)
         if (structure := _find_structure(state.model, search)) is None:
-            search, structure = self._search_over(state.model, (), report), ws.Structure()
+            search, structure = self._run_search(state.model, (), report), ws.Structure()
         return search, structure
 
-    def _search_over(
+    def _run_search(
         self,
         core: bc.Model,
         effects: Sequence[bc.Effect],
@@ -382,7 +382,7 @@ class Session:
 
     def script(self) -> str:
         """Return a Python script that reproduces the current state, with identical numbers."""
-        return self._script(self.path())
+        return self._generate_script(self.path())
 
     def search_path(self, state: State | None = None) -> bc.SearchPath:
         """Return the search path to a state (None: the current one), in the form that `calibrate` returns; cached.
@@ -403,7 +403,7 @@ class Session:
         search = structure = None
         if step.calibration.verdict.ok:
             with suppress(ws.deadline.TimeIsUp), self._exclude_searches():
-                search, structure = self._search_at(state)
+                search, structure = self._find_search(state)
                 self._cache_discovery(state.number, search.find_missing(structure))
                 path = self.path(state.number)
         steps = [*(s.step for s in path[:-1]), step]
@@ -493,7 +493,7 @@ class Session:
         """Make a state the current one; replace all states by `states` if given."""
         states = self._states if states is None else states
         path = [states[n] for n in store.list_path(states, number)]
-        store.save_session(self.folder, states, number, self._script(path))
+        store.save_session(self.folder, states, number, self._generate_script(path))
         self._states, self._current_number = states, number
         for callback in tuple(self.on_change):
             callback()
@@ -503,5 +503,5 @@ class Session:
         with self._tree_lock:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
-    def _script(self, path: list[State]) -> str:
+    def _generate_script(self, path: list[State]) -> str:
         return store.generate_script(path, self.origin, self.settings, self.folder.resolve())

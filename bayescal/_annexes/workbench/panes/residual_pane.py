@@ -327,7 +327,7 @@ class ResidualPane(Pane):
             self._lay_out()
 
     def _reset(self, state: ResidualsOfState) -> None:
-        """Reset sources and panels for other columns."""
+        """Create empty data sources, without panels, for a state with other columns than before."""
         self._panels: dict[str, ColumnPanel] = {}  # by each column that was selected before
         self._y = set_axis_range(state.residual)
         self.source: Any = ColumnDataSource({})
