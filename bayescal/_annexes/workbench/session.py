@@ -418,7 +418,7 @@ class Session:
         trail = self.search_path()
         use_text = "This result may be used." if trail.ok else "Not to be used as it is."
         texts = (use_text, trail.gate.reason, str(trail.final.calibration.verdict))
-        return "\n\n".join([*(ws.fold_text(t, "") for t in texts if t), str(trail)])
+        return "\n\n".join([*(ws.wrap(t, "") for t in texts if t), str(trail)])
 
     def compare(self, number: int) -> str:
         """Compare the current model with that of state `number` by `bc.compare`, and list the unknowns of both.
