@@ -135,8 +135,7 @@ class VectorCorrection:
             "terms: offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows"
         )
         data = {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
-        keys = {name: name for name in data} | JSON_KEYS
-        return {keys[name]: value for name, value in data.items()}
+        return {(JSON_KEYS.get(name) or name): value for name, value in data.items()}
 
     @property
     def range(self) -> tuple[float, float]:
