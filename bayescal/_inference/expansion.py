@@ -224,7 +224,7 @@ class Expansions:
         return expansions, index
 
     def fit_polynomials(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:
-        """Fit polynomials of increasing degree to the columns in the region of draws; None for non-finite columns."""
+        """Fit polynomials of increasing degree to the columns in the region of draws; return the best, or None."""
         best, fit = np.inf, None
         for degree in DEGREES.get(self.dim, ()):
             basis = Polynomials(draws, degree)

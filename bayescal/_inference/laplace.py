@@ -267,7 +267,7 @@ def fit_at_mode(
 ) -> Mode:
     """Return the Laplace approximation of φ at its mode, and the Laplace evidence.
 
-    change: last step of φ, standard deviations. x: default, that of `density`. exact: compute the Hessian, not by BFGS.
+    change: last step of φ, standard deviations. x: default, that of `density`. exact: compute the Hessian.
     """
     x = density.x if x is None else x
     is_group_sd = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)

@@ -50,7 +50,7 @@ class HessianGuess(NamedTuple):
 
 
 class GaussianFit(NamedTuple):
-    """Laplace approximation of a density: mode, covariance, evidence, and whether eigenvalues were clipped."""
+    """Laplace approximation of a density: mode, covariance, evidence, and whether its Hessian is indefinite."""
 
     v: Float[np.ndarray, "d"]
     covariance: Float[np.ndarray, "d d"]

@@ -95,7 +95,7 @@ class Problem:
         return self.layout.hyper(v)
 
     def hyper_of_each(self, vs: Float[np.ndarray, "b d"]) -> list[dict[str, float]]:
-        """Return hyper-parameters and fixed unknowns by name, at each of several coordinates of φ (b, d)."""
+        """Return hyper-parameters and fixed unknowns by name, one dictionary per row of coordinates of φ (b, d)."""
         columns = {n: np.broadcast_to(v, len(vs)) for n, v in self.hyper(vs.T).items()}
         return [{n: float(c[i]) for n, c in columns.items()} for i in range(len(vs))]
 
@@ -117,7 +117,7 @@ class Problem:
         return draw_x(gram, self.record.size, prior, origin, deviates)
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
-        """Return the log prior densities of several φ (b,)."""
+        """Return the log prior densities of φ at several coordinates v (b, d), one for each (b,)."""
         return self.layout.log_prior(v.T)
 
     def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
@@ -155,7 +155,7 @@ class Problem:
         return np.where(self.layout.x_origins != 0.0, 0.0, self.mean_of_x)
 
     def map_x(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
-        """Map the coefficients x of another problem to this one's (p,); others are at their prior means."""
+        """Return this problem's x (p,) with the coefficients x (q,) of another problem; the others: prior means."""
         mapped_x, slices = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
         for t in self.in_x:
             if (x_slice := slices.get((t.effect.name, t.index))) is not None:

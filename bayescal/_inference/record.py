@@ -135,7 +135,7 @@ class Record:
         return ColumnTable(self.y - self.affine_map[0])  # pyright: ignore[reportOptionalSubscript]
 
     def clear_cache(self) -> None:
-        """Clear cached columns of effects with shapes, expansions and the column table; return freed memory."""
+        """Clear cached columns of effects with shapes, expansions and the column table, and release memory."""
         self._shape_columns, self._cached_bytes, self._expansions = OrderedDict(), 0, {}
         if self.affine_map is not None:
             self.table.clear()
@@ -163,7 +163,7 @@ class Record:
         return self._expansions[key]
 
     def nodes(self, law: Noise) -> SingleNode | None:
-        """Return nodes to interpolate inner products in a law's parameters; None if law or record has none."""
+        """Return the nodes of a law for interpolating inner products on this record; None if there are none."""
         coordinate = law.variance_coordinate(self.frame)
         if coordinate is not None:
             key: Any = coordinate.tobytes()
@@ -214,7 +214,7 @@ class Record:
     def respond(
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Return the expected output (n,), or (b, n) for draws, and derivatives by slot or column (may be {})."""
+        """Return the expected output (n,), or (b, n) for draws, and derivatives by slot or column ({} if not asked)."""
         if not shifts and self.affine_map is not None:
             base, slopes = self.affine_map
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes

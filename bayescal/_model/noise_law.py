@@ -140,7 +140,7 @@ class Noise(abc.ABC):
         return ""
 
     def derived(self, values: Parameters) -> dict[str, Any]:
-        """Return quantities derived from the parameters, by name, output unit."""
+        """Return quantities derived from the parameters, by name: standard deviations, output unit; times, s."""
         arrays = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
         return {n: value for part in self.parts for n, value in part.derived(arrays).items()}
 
@@ -233,7 +233,7 @@ class Noise(abc.ABC):
         return sum((part.variance(values) for part in self.parts), 0.0)
 
     def lasting_deviation(self, values: Parameters) -> float:
-        """Return the correlated part's largest Allan deviation, output unit, at 0.1 to 0.5 of the longest run."""
+        """Return the largest Allan deviation of the correlated part at averaging times of 0.1 to 0.5 longest runs."""
         if not self.parts:
             return 0.0
         step = self.parts[0].shortest
@@ -301,8 +301,8 @@ def add_variance(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
     """Return a frame with a variance added to each reading's known uncertainty; unchanged if `extra` is None."""
     if extra is None:
         return frame
-    variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
-    return replace(frame, columns={**frame.columns, UNCERTAINTY: xp.sqrt(variance + extra)})
+    known_variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
+    return replace(frame, columns={**frame.columns, UNCERTAINTY: xp.sqrt(known_variance + extra)})
 
 
 def sort_by_time(

@@ -103,7 +103,7 @@ class NoiseTerm(abc.ABC):
         residuals: Float[np.ndarray, "n"],
         z: Float[np.ndarray, "n"] | None,
     ) -> list[dict[str, float]]:
-        """Return starting points of the optimisation, estimated from residuals; z: covariate scaled to −1 … 1."""
+        """Return starting points of an optimisation, name → value, by residuals; z: covariate scaled to −1 … 1."""
         return [{}]
 
     def derived(self, values: Values) -> dict[str, Any]:

@@ -34,7 +34,7 @@ NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
 
 def name_member(name: str, member: object) -> str:
-    """Return the name of one member's coefficient."""
+    """Return the name of one group member's coefficient, such as "bias.run(3)"."""
     return f"{name}({member})"
 
 
