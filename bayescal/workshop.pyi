@@ -38,7 +38,7 @@ from ._cli.options import opt as opt
 from ._cli.options import parse_numbers as parse_numbers
 from ._cli.options import parse_pairs as parse_pairs
 from ._cli.options import split_names as split_names
-from ._cli.output import coefficients_text as coefficients_text
+from ._cli.output import format_coefficients as format_coefficients
 from ._cli.request import CALIBRATION as CALIBRATION
 from ._cli.request import compose as compose
 from ._cli.request import create_method as create_method
@@ -143,6 +143,10 @@ from ._model.installed import list_installed as list_installed
 from ._model.parameters import Unknowns as Unknowns
 from ._model.parameters import bind as bind
 from ._report import plot_colours as plot_colours
+from ._report.replace_folder import MANIFEST as MANIFEST
+from ._report.replace_folder import guard_drawing as guard_drawing
+from ._report.replace_folder import read_hashes as read_hashes
+from ._report.replace_folder import replace_folder as replace_folder
 from ._report.report import Pictures as Pictures
 from ._report.result_json import Chapter as Chapter
 from ._report.result_json import Foreword as Foreword
@@ -150,10 +154,6 @@ from ._report.result_json import versions as versions
 from ._report.save_search import draw_search as draw_search
 from ._report.save_search import save_search as save_search
 from ._report.save_search import write_search as write_search
-from ._report.whole_folder import MANIFEST as MANIFEST
-from ._report.whole_folder import drawing as drawing
-from ._report.whole_folder import files_of as files_of
-from ._report.whole_folder import whole_folder as whole_folder
 from ._search.calibrate import QUICK as QUICK
 
 # the search: structures, their posterior, the loop over them, its steps

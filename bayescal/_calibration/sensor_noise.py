@@ -251,12 +251,12 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in fits.noises])
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
-    dof = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
+    dof = allan.compute_edf(runs, allan.classify_noise(np.median(draws, axis=0)))
     simulated = np.sqrt(draws * np.random.default_rng(seed).chisquare(dof, draws.shape) / dof)
     estimate_low, estimate_high = np.quantile(simulated, [tail, 1 - tail], axis=0)
     claims, step = list(fits.claims), runs.step / (fits.count or 1)
     if fits.count is None:
-        claims.insert(0, Claim("noise.no_level", "N", name=allan.data_sheet_terms(unit).names[0]))
+        claims.insert(0, Claim("noise.no_level", "N", name=allan.choose_noise_terms(unit).names[0]))
     elif fits.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=fits.count))
     is_outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
@@ -485,7 +485,7 @@ def _count_readings_per_mean(
         values, line_variance = {WHITE: 0.0, **line}, line[TONE_RMS] ** 2
         variances -= tone_model.allan_variance(values, line_variance, runs.factors, runs.step)
     max_variances = 4.0 ** (2 * WHITE_SLOPE) * variances[:-2]
-    dof = allan.degrees_of_freedom(runs, np.zeros(len(variances)))
+    dof = allan.compute_edf(runs, np.zeros(len(variances)))
     max_variances[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
     is_white = variances[2:] <= max_variances
     is_white[1:] &= sum(runs.lengths) >= MIN_MEAN_COUNT * runs.factors[1:-2]
@@ -754,7 +754,7 @@ def _summarise_figures(
     sums: EvaluatedSums, unit: str, allan_variances: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
     """Summarise Q, N, B, K and other parameters; those of a term only if sums with it have over half of the draws."""
-    names, best_noise, base = allan.data_sheet_terms(unit), sums.noises[0], unit or "1"
+    names, best_noise, base = allan.choose_noise_terms(unit), sums.noises[0], unit or "1"
     (density, bias, walk), (density_unit, bias_unit, walk_unit) = names.names, names.units
     draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)
 

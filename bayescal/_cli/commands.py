@@ -40,8 +40,8 @@ from bayescal._cli.options import (
     Texts,
     draw_safely,
     opt,
-    optional_names,
     parse_numbers,
+    split_optional,
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
@@ -57,10 +57,10 @@ from bayescal._report.whole_folder import (
     CALIBRATION,
     CHANNELS,
     MANIFEST,
-    drawing,
-    files_of,
+    guard_drawing,
     name_folders,
-    whole_folder,
+    read_hashes,
+    replace_folder,
 )
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
@@ -235,7 +235,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
                 "method": request.create_method(self.method),
                 "reference": dict(parse_numbers(self.reference, "--reference")),
                 **self.settings(),
-                "covariates": optional_names(self.covariates),
+                "covariates": split_optional(self.covariates),
             }
             from bayescal._cli.output import ConsoleReporter, format_search
 
@@ -250,7 +250,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             if folder is not None:
                 all_drawn = draw_safely(search.save, folder)
                 possible_files = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-                files = (n for n in possible_files if n in (*files_of(folder), MANIFEST))
+                files = (n for n in possible_files if n in (*read_hashes(folder), MANIFEST))
                 listing = f"{CHANNELS}, and a folder per channel" if names else ", ".join(files)
                 written = f"{folder}/{listing}"
             paths = search.search_paths if isinstance(search, bc.Channels) else {"": search}
@@ -290,7 +290,7 @@ class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
             content = convert_fit(calibration) if self.json_ else calibration
             verdict, written = calibration.verdict, ""
             if folder is not None:
-                with whole_folder(folder) as partial_folder:
+                with replace_folder(folder) as partial_folder:
                     calibration.save(partial_folder / CALIBRATION)
                 written = f"{folder / CALIBRATION}\nto test the residuals: bayescal check {shlex.quote(str(folder))}"
             return Answer(content, why=verdict.why_not, written=written)
@@ -327,20 +327,20 @@ class DiscoverCommand(DefinitionOptions, AsJson, Command):
     def answer(self) -> Answer:
         calibration = request.load_saved(self.calibration, self)
         effects = request.load_effects(self, calibration.model.instrument, calibration.readings)
-        columns = {"ignore": self.ignore or (), "covariates": optional_names(self.covariates)}
+        columns = {"ignore": self.ignore or (), "covariates": split_optional(self.covariates)}
         kwargs = {"effects": effects, "max_effects": self.max_effects, **columns}
         discovery = bc.discover(calibration, **kwargs)
-        from bayescal._report.result_json import experiment_data, missing_data
+        from bayescal._report.result_json import convert_missing, convert_ranking
 
         check, limit = bc.check(calibration), deadline.current()
-        text, data = str(discovery), missing_data(discovery, 0, check)
+        text, data = str(discovery), convert_missing(discovery, 0, check)
         if self.next_experiment and limit.is_over:
             text += f"\n\nnext experiment: omitted ({limit.reason})"
         elif self.next_experiment:
             rivals = discovery.rivals
             ranking = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
             text += f"\n\n{ranking or 'next experiment: none to tell candidates apart (no second one is probable)'}"
-            data["next_experiment"] = None if ranking is None else experiment_data(ranking)
+            data["next_experiment"] = None if ranking is None else convert_ranking(ranking)
         return Answer(text, data)
 
 
@@ -450,7 +450,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
 
                 folders = name_folders(results).items()
                 pictures = {f"noise_{folder_name}.png": name for name, folder_name in folders}
-                with drawing("The Allan deviation"), whole_folder(folder) as hidden:
+                with guard_drawing("The Allan deviation"), replace_folder(folder) as hidden:
                     for picture, name in pictures.items():
                         with use_own_style():
                             bc.plot.save(bc.plot.noise(results[name]), hidden / picture)

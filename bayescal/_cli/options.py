@@ -68,7 +68,7 @@ def split_names(texts: str | None) -> list[str]:
     return [name for part in (texts or "").split(",") if (name := part.strip())]
 
 
-def optional_names(text: str | None) -> list[str] | None:
+def split_optional(text: str | None) -> list[str] | None:
     """Split a comma-separated list of names; return None for None."""
     return None if text is None else split_names(text)
 

@@ -20,7 +20,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import result
-from bayescal._report.save_search import channels_data
+from bayescal._report.save_search import convert_channels
 from bayescal._search.calibrate_channels import Channels
 from bayescal._search.search_path import SearchPath, Step
 
@@ -137,7 +137,7 @@ def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> A
     if isinstance(search, SearchPath):
         return result(search) if as_data else format_loop(search, **how)
     texts = (wrap(f"{name}: {path.in_short}") for name, path in search.search_paths.items())
-    return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
+    return convert_channels(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
 def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False) -> str:
@@ -162,12 +162,12 @@ def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False
     notes += [wrap(f"end: {path.ending}")] if path.ending else []
     parts.append(_section("THE ERROR, STEP BY STEP", path, *notes))
     notes = [format_average(path, verbose), wrap(f"verdict: {path.gate}")]
-    parts.append(_section("COEFFICIENTS", coefficients_text(path, verbose), *filter(None, notes)))
+    parts.append(_section("COEFFICIENTS", format_coefficients(path, verbose), *filter(None, notes)))
     parts.append(_section("IN SHORT", wrap(path.in_short, "")))
     return "\n\n".join(parts).removeprefix("\n")
 
 
-def coefficients_text(path: SearchPath, verbose: bool = False) -> str:
+def format_coefficients(path: SearchPath, verbose: bool = False) -> str:
     """Format the coefficients of the model average; if verbose, also those that the most probable structure lacks."""
     final = path.final.calibration
     tables = list_unknowns(path.calibration, None if verbose else final.model.names)

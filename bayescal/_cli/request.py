@@ -27,7 +27,7 @@ from bayescal._report.whole_folder import (
     CALIBRATION,
     CHANNELS,
     channel_folders,
-    files_of,
+    read_hashes,
     refuse_mixed,
 )
 from bayescal._search.own_files import instrument_named, load_user_effects
@@ -221,7 +221,7 @@ def load_saved(path: Path, user: DefinitionOptions) -> bc.Calibration:
         )
     path = inner_path if (inner_path := path / CALIBRATION).is_file() else path
     files, structure = [path.name], getattr(user, "one_structure", "best")
-    if (path.name, structure) == (CALIBRATION, "average") and AVERAGED in files_of(path.parent):
+    if (path.name, structure) == (CALIBRATION, "average") and AVERAGED in read_hashes(path.parent):
         files.append(AVERAGED)
     refuse_mixed(path.parent, *files)
     return bc.load(path.with_name(files[-1]), **_load_user_parts(user))

@@ -41,8 +41,8 @@ class DataSheetTerms(NamedTuple):
 ACCELEROMETER_TERMS = ("velocity random walk", "bias instability", "acceleration random walk")
 
 
-def data_sheet_terms(unit: str) -> DataSheetTerms:
-    """Return the data-sheet names and units of the noise coefficients of an output in `unit`.
+def choose_noise_terms(unit: str) -> DataSheetTerms:
+    """Return the data-sheet names and units of the noise coefficients N, B and K of an output in `unit`.
 
     Noise densities refer to the two-sided spectrum, as in IEEE 952, so that N per √Hz equals N·√s; a one-sided spectrum
     gives √2 times this value.
@@ -79,7 +79,7 @@ class EvenRuns(NamedTuple):
 
     @property
     def lost(self) -> float:
-        """Return the share of grid points without a reading."""
+        """Return the share of grid points, of all runs, that have no reading."""
         return sum(int(np.sum(r < 0)) for r in self.rows) / sum(self.lengths)
 
     @property
@@ -94,10 +94,10 @@ class AllanDeviation:
 
     Attributes:
         step: time between readings, s.
-        runs: number of runs, combined with weights proportional to their numbers of differences.
+        runs: number of combined runs, weighted by their numbers of differences.
         tau: averaging times (k,), s.
         deviation, low, high: Allan deviation (k,), and the limits of its 95 % confidence interval.
-        differences: number of differences of adjacent averages (k,).
+        differences: numbers of differences of adjacent averages (k,).
         edf: equivalent degrees of freedom (k,) of the Allan variance, by Greenhall & Riley (2003).
     """
 
@@ -140,7 +140,7 @@ def allan_deviation(
         raise InputError(
             f"{readings.file}: the Allan deviation is zero: the output is constant over some averaging time"
         )
-    edf = degrees_of_freedom(runs, noise_types(variance))
+    edf = compute_edf(runs, classify_noise(variance))
     tail = 0.5 * (1 - CONFIDENCE)
     low, high = (np.sqrt(variance * edf / (2 * gammaincinv(edf / 2, p))) for p in (1 - tail, tail))
     return AllanDeviation(
@@ -160,7 +160,7 @@ def even_runs(readings: Measurements) -> EvenRuns:
     """Return the evenly spaced time grids of a record's runs, with the reading at each grid point.
 
     Time stamps may be truncated to milliseconds, or shared by readings that arrived together: if none deviates from an
-    even grid by a step, the step of this grid is used. In a step of several median steps, readings were lost.
+    even grid by a step, the step of this grid is used. Else, longer steps are gaps of lost readings.
 
     Raises:
         InputError: no column `time`, no run of 30 readings, mostly repeated times, time steps that differ by more than
@@ -202,7 +202,7 @@ def even_runs(readings: Measurements) -> EvenRuns:
 
 
 def _fit_step(time: np.ndarray, rows: Sequence[np.ndarray], median: float) -> float | None:
-    """Return the step, s, of the even grid of rounded time stamps; None if not rounded, or if readings may be lost.
+    """Return the step, s, of the even grid of rounded time stamps; None if they are exact, or readings may be lost.
 
     A lost reading causes a step of a multiple of the median; rounded time stamps are near their regression line.
     """
@@ -233,7 +233,7 @@ def allan_variances(
     If readings were lost, averages of at least half of their readings are used, and differences are scaled to the
     variance of white noise without losses; a random walk is underestimated by at most the lost share.
     """
-    squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
+    square_sums, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
         columns = values[rows].reshape(len(rows), -1)
         is_present = rows >= 0
@@ -250,32 +250,32 @@ def allan_variances(
                 differences = (means[m:] - means[:-m])[is_valid]
                 # scaled to the variance that white noise has without lost readings
                 differences *= np.sqrt(2 / m / (1 / later[is_valid] + 1 / earlier[is_valid]))
-                squares[k] += np.einsum("ij,ij->", differences, differences) / 2
+                square_sums[k] += np.einsum("ij,ij->", differences, differences) / 2
                 count[k] += len(differences)
-    return squares / count, count
+    return square_sums / count, count
 
 
-def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Classify noise by the slope of an Allan variance in octaves (k,): 0 white, −1 flicker, −2 random walk.
+def classify_noise(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Classify noise (k,) by the slope of the Allan variance at each octave: 0 white, −1 flicker, −2 random walk.
 
     An Allan variance proportional to τ^μ corresponds to a spectrum proportional to f^(−1 − μ).
     """
     return np.clip(np.round(-1 - np.gradient(np.log2(variance))), -2, 0)
 
 
-def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Return the equivalent degrees of freedom of the mean over all runs (k,), times the share of readings not lost.
+def compute_edf(runs: EvenRuns, noise_classes: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Return the equivalent degrees of freedom (k,) of the mean of the runs, times the share of readings not lost.
 
     An estimate of v from run i has the variance 2·v²/eᵢ (Greenhall & Riley, 2003), a weighted mean 2·v²·Σ wᵢ²/eᵢ.
     """
     lengths, counts = np.unique(runs.lengths, return_counts=True)
     edfs = []
-    for m, noise_type in zip(runs.factors.astype(int), types.astype(int), strict=True):
+    for m, noise_type in zip(runs.factors.astype(int), noise_classes.astype(int), strict=True):
         differences = lengths + 1 - 2 * m
         has_variance = differences > 1
-        weight = differences[has_variance] / (differences[has_variance] @ counts[has_variance])
-        edf = np.array([_edf(int(noise_type), int(m), int(n)) for n in lengths[has_variance]])
-        edfs.append(1 / (counts[has_variance] @ (weight**2 / edf)))
+        weights = differences[has_variance] / (differences[has_variance] @ counts[has_variance])
+        edf = np.array([_run_edf(int(noise_type), int(m), int(n)) for n in lengths[has_variance]])
+        edfs.append(1 / (counts[has_variance] @ (weights**2 / edf)))
     return (1 - runs.lost) * np.array(edfs)
 
 
@@ -284,7 +284,7 @@ ASYMPTOTIC_EDF = {0: (2 / 3, 1 / 3), -1: (0.852, 0.375), -2: (1.079, 0.368)}
 MAX_OVERLAP_TERMS = 100  # terms of the sum over overlaps, above which it is approximated
 
 
-def _edf(noise_type: int, m: int, readings: int) -> float:
+def _run_edf(noise_type: int, m: int, readings: int) -> float:
     """Return the equivalent degrees of freedom of the overlapping Allan variance of a run, m readings per average.
 
     C. Greenhall & W. Riley, "Uncertainty of stability variances based on finite differences", 35th PTTI meeting
@@ -310,8 +310,8 @@ def _compute_covariance(t: np.ndarray, filter_width: float, noise_type: int) -> 
 
     def evaluate(t: np.ndarray) -> np.ndarray:
         power = 3 - noise_type if math.isfinite(filter_width) else 1 - noise_type
-        size = np.abs(t)
-        return size**power * (np.log(np.where(size > 0, size, 1.0)) if power % 2 == 0 else 1.0)
+        abs_t = np.abs(t)
+        return abs_t**power * (np.log(np.where(abs_t > 0, abs_t, 1.0)) if power % 2 == 0 else 1.0)
 
     def average(t: np.ndarray) -> np.ndarray:
         if not math.isfinite(filter_width):

@@ -31,31 +31,31 @@ def parse_duration(text: str | float) -> float:
 def check_averaging_time(
     time: np.ndarray, is_next: np.ndarray, counts: np.ndarray, seconds: float, file: str
 ) -> None:
-    """Raise InputError if averaging combines no two readings, or all; `is_next`: reading continues a group (n,)."""
+    """Raise InputError if means are of one reading, or of all; `is_next`: whether a reading continues a group."""
     if counts.size == 1:
         fault = f"averaging over {seconds:g} s combines all {time.size} readings into one mean"
         raise InputError(f"{file}: {fault}: give a shorter averaging time")
     if counts.max() == 1:
         median_step = float(np.median(np.diff(time)[is_next[1:]])) if is_next.any() else np.inf
-        spacing = f" (they are {median_step:.3g} s apart)" * bool(np.isfinite(median_step))
+        spacing_text = f" (they are {median_step:.3g} s apart)" * bool(np.isfinite(median_step))
         raise InputError(
             f"{file}: nothing can be averaged: no two readings with the same labels and settings are within "
-            f"{seconds:g} s{spacing}. Give a longer averaging time, or do not average"
+            f"{seconds:g} s{spacing_text}. Give a longer averaging time, or do not average"
         )
 
 
 def bin_times(time: np.ndarray, is_next: np.ndarray, seconds: float) -> np.ndarray:
-    """Return the index of each reading's averaging interval (n,), counted from the first reading of its record."""
+    """Return the index (n,) of the averaging interval of each reading, counted from the start of its record."""
     # Intervals begin half a step before a reading, so that clock jitter moves no reading to another one.
-    starts = np.flatnonzero(~is_next)
-    starts_of_records = np.repeat(time[starts], np.diff(starts, append=time.size))
+    start_rows = np.flatnonzero(~is_next)
+    record_start_times = np.repeat(time[start_rows], np.diff(start_rows, append=time.size))
     steps = np.diff(time, prepend=time[:1])[is_next]
     median_step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    return np.floor((time - starts_of_records + 0.5 * min(median_step, seconds)) / seconds)
+    return np.floor((time - record_start_times + 0.5 * min(median_step, seconds)) / seconds)
 
 
 def find_steps(values: np.ndarray, is_next: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of readings at which a setting changes, such as an angle held for many readings.
+    """Return a mask (n,) of the readings at which a setting, such as an angle held for many readings, changes.
 
     These are changes of more than ten times the median change (zero for exactly held values). A column with many of
     them is no setting: it fluctuates in its last digit, and may be averaged.
@@ -65,17 +65,17 @@ def find_steps(values: np.ndarray, is_next: np.ndarray) -> np.ndarray:
     return is_step & (np.count_nonzero(is_step) <= MAX_STEPS_SHARE * values.size)
 
 
-def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
-    """Return the means (m, …) of segments of `rows` (n, …) that begin at `begins`; exact for constant segments."""
-    counts, first_rows = np.diff(begins, append=len(rows)), rows[begins]
-    deviations = np.add.reduceat(rows - np.repeat(first_rows, counts, axis=0), begins, axis=0)
+def take_means(rows: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Return the means (m, …) of segments of `rows` (n, …) that begin at `starts`; exact for constant segments."""
+    counts, first_rows = np.diff(starts, append=len(rows)), rows[starts]
+    deviations = np.add.reduceat(rows - np.repeat(first_rows, counts, axis=0), starts, axis=0)
     return first_rows + deviations / counts.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
 def estimate_reading_noise(
     columns: Mapping[str, np.ndarray], output: str, order: np.ndarray, is_next: np.ndarray
 ) -> float:
-    """Estimate a reading's white-noise standard deviation, √(mean(Δ²)/2), without its known uncertainty (variances)."""
+    """Estimate the white-noise standard deviation of a reading, √(mean(Δ²)/2 − u²), u its known uncertainty."""
     uncertainties = columns[UNCERTAINTY] if UNCERTAINTY in columns else np.zeros(order.size)
     change = np.diff(columns[output][order], prepend=0.0)[is_next]
     variance = 0.5 * float(np.mean(change**2)) - float(np.mean(uncertainties[order][is_next] ** 2))
@@ -83,14 +83,14 @@ def estimate_reading_noise(
 
 
 def compute_excess_uncertainty(
-    columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise: float
+    columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise_sd: float
 ) -> np.ndarray | None:
-    """Return the standard uncertainty of each mean in excess of that of the mean of most readings; None if zero.
+    """Return the uncertainty (m,) of each mean in excess of the mean of the largest number of readings; None if zero.
 
     Its variance is σ²·(1/n − 1/N) for a mean of n readings, at most N, plus that of the readings' known uncertainties.
     """
     counts = np.diff(begins, append=order.size)
-    variance = noise**2 * (1 / counts - 1 / counts.max())
+    variance = noise_sd**2 * (1 / counts - 1 / counts.max())
     if UNCERTAINTY in columns:
         variances = columns[UNCERTAINTY][order] ** 2
         variance = variance + np.add.reduceat(variances, begins) / counts**2

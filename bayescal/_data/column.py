@@ -1,4 +1,4 @@
-"""Columns of an instrument, its nominal scale, and the sources of readings."""
+"""Columns and nominal scale of an instrument; sources of readings; overload codes and placeholders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.unit_conversion import ANY
 from bayescal._tables.raw_table import ROW, Table
 
-MIN_PLACEHOLDER_RANGES = 3.0  # distance of a placeholder such as −999 from all values, in ranges
+MIN_PLACEHOLDER_RANGES = 3.0  # from a placeholder such as −999 to the other values, in their ranges
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 SOAK_POINT = "temperature_point"  # soak temperature; empty on ramps
@@ -36,8 +36,8 @@ class Column:
         required: whether a file without the column is refused.
         default: value, in `unit`, of every reading if the file lacks the column; None omits the column.
         low, high: smallest and largest plausible value, in `unit`; a file with other values is refused.
-        allowed: the valid labels; empty allows any.
-        also: further names of the column in files.
+        allowed: the valid labels; if empty, all labels are valid.
+        also: further names that files may use for the column.
     """
 
     name: str
@@ -132,8 +132,8 @@ class ConvertedColumns:
     Attributes:
         tables: the files, restricted to the kept rows.
         values, units: name → one entry per reading; name → unit, None for labels.
-        flags: warnings.
-        missing: name → indices of missing readings.
+        flags: warnings about the readings, in words.
+        missing: name → indices of its missing readings.
         origin: seconds since 1970 at time zero; None if the times are not dates.
         kept_rows: indices of the kept rows of the file; None for all.
         other_channels: names of columns that are other output channels of the same device.
@@ -170,7 +170,7 @@ class ConvertedColumns:
         return [n for n, unit in self.units.items() if unit == "degC" and n != SOAK_POINT]
 
 
-def file_names(files: Sequence[str]) -> str:
+def format_files(files: Sequence[str]) -> str:
     """Format file names for messages: the first, and the number of others."""
     if not files:
         return ARRAYS
@@ -184,13 +184,13 @@ OVERLOAD_CODE, NO_NUMBER_CODE = 9.9e37, 9.91e37
 
 
 def find_overloads(values: np.ndarray) -> np.ndarray:
-    """Return the rows with an SCPI code for an overload (±9.9E37) or no reading (9.91E37)."""
+    """Return the indices of values that are an SCPI code for an overload (±9.9E37) or no reading (9.91E37)."""
     is_overload = np.isclose(abs(values), OVERLOAD_CODE, rtol=1e-6)
     return np.flatnonzero(is_overload | np.isclose(values, NO_NUMBER_CODE, rtol=1e-6))
 
 
 def find_placeholders(values: np.ndarray) -> np.ndarray:
-    """Return the rows with a placeholder for a missing reading, such as −999, far from all other values."""
+    """Return the indices of values that are a placeholder for a missing reading, such as −999, far from all others."""
     is_placeholder = np.zeros(len(values), dtype=bool)
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
         is_equal = values == value

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.settings import settings
-from bayescal._data.column import ARRAYS, ConvertedColumns, Place, file_names
+from bayescal._data.column import ARRAYS, ConvertedColumns, Place, format_files
 from bayescal._data.records import RECORD, Columns, Records, distinct, equal_runs
 from bayescal._tables.cells import format_date
 from bayescal._tables.raw_table import Objection, Objections, option
@@ -30,9 +30,9 @@ Locate = Callable[[int], Place]  # index of a reading → its file and row
 def find_problems(
     converted: ConvertedColumns, instrument: Any, one_temperature: bool
 ) -> Objections:
-    """Return the problems of a whole data set: a single temperature, decreasing times.
+    """Return the problems of a data set: a single temperature, times that decrease or jump by years.
 
-    A single temperature is accepted with `one_temperature`, and if no baseline effect of the instrument depends on it.
+    A single temperature is accepted with `one_temperature`, or if no baseline effect depends on the temperature.
     """
     problems, columns = Objections(), converted.values
     effects = getattr(instrument, "effects", None)
@@ -40,13 +40,13 @@ def find_problems(
     is_required = any(c.name == "temperature" and c.required for c in instrument.columns)
     if is_used and is_required and not one_temperature and "temperature" in columns:
         files = [table.file for table in converted.tables if table.file != ARRAYS]
-        problems += find_single_temperature(columns, file_names(files))
+        problems += find_single_temperature(columns, format_files(files))
     problems += find_time_reversals(columns, converted.locate)
     return problems
 
 
 def find_single_temperature(columns: Columns, names: str) -> Iterator[Objection]:
-    """Yield an objection if the temperatures, °C, span less than `Settings.temperature_span`."""
+    """Yield an objection to files `names` if their temperatures span less than `Settings.temperature_span`, °C."""
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < settings().temperature_span:
@@ -70,15 +70,15 @@ MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS = 3.2e8, 1e4
 
 
 def find_time_reversals(columns: Columns, locate: Locate) -> Iterator[Objection]:
-    """Yield an objection if times, s, decrease or jump by years within a run; `locate` returns a reading's place."""
+    """Yield an objection if times, s, decrease or jump by years within a record; `locate` returns a reading's place."""
     if "time" not in columns:
         return
-    record = Records.of(columns).codes
-    order = np.argsort(record, kind="stable")
+    record_codes = Records.of(columns).codes
+    order = np.argsort(record_codes, kind="stable")
     values, time = columns["time"], columns["time"][order]
-    step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
-    size = abs(step[step != 0])
-    median_step = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    step = np.where(np.diff(record_codes[order]) == 0, np.diff(time), np.nan)  # within a record
+    step_sizes = abs(step[step != 0])
+    median_step = float(np.nanmedian(step_sizes)) if np.isfinite(step_sizes).any() else 0.0
     is_jump = abs(step) > max(MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS * median_step)
     is_backward = step < 0
     rows = np.sort(order[1:][is_jump if is_jump.any() else is_backward])
@@ -108,8 +108,8 @@ def find_time_reversals(columns: Columns, locate: Locate) -> Iterator[Objection]
                 cure, suggestion = "If so, unwrap it", option("--unwrap", f"time={name}")
                 break
     places = [locate(int(row)) for row in rows]
-    at_rows = tuple(place.row for place in places)
-    yield Objection(places[0].file, fault, "", cure, suggestion, "time", places=at_rows)
+    row_labels = tuple(place.row for place in places)
+    yield Objection(places[0].file, fault, "", cure, suggestion, "time", places=row_labels)
 
 
 def flags_of(
@@ -174,7 +174,7 @@ MAX_STEP_DEGREES = 40.0  # °C, largest credible change between consecutive read
 def _find_wraparounds(
     converted: ConvertedColumns, records: Records, anomalies: Sequence[Anomaly]
 ) -> Iterator[str]:
-    """Yield a warning for each temperature column with jumps other than error values, usually by a wrap-around."""
+    """Yield a warning for each temperature column that jumps, except to error values: usually a wrap-around."""
     error_rows = {a.column: a.rows for a in anomalies if a.code == "leap"}
     for name in converted.thermometers:
         for rows in records.in_time if records.time.size else ():
@@ -206,16 +206,16 @@ def find_rounding_step(values: np.ndarray) -> float:
 def find_grid_step(values: np.ndarray, min_levels: int = 3) -> float:
     """Return the step of the grid that contains all values of a column, in its unit; 0 without such a grid.
 
-    Euclid's algorithm: the next step is the smallest remainder of the values modulo the step. Returns 0 for fewer than
-    `min_levels` distinct values.
+    Euclid's algorithm: the next step is the smallest remainder of the values modulo the step. Fewer than `min_levels`
+    distinct values have no grid.
     """
     levels = np.unique(values)
     if len(levels) < max(min_levels, 2):
         return 0.0
     gaps = np.diff(levels)
     gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
-    step, digits = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
-    while step > digits:
+    step, resolution = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
+    while step > resolution:
         remainders = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
         if np.all(remainders < OFF_GRID_STEPS):
             return step
@@ -224,7 +224,7 @@ def find_grid_step(values: np.ndarray, min_levels: int = 3) -> float:
 
 
 def find_repeated_rows(columns: Columns) -> np.ndarray:
-    """Return the indices of rows equal to an earlier row in every column; NaN equals NaN."""
+    """Return the indices of rows that equal an earlier row in every column; NaN counts as equal to NaN."""
     codes = np.zeros(len(next(iter(columns.values()))), np.int64)
     for name in sorted(columns, key=lambda name: (name != "time", columns[name].dtype.kind != "f")):
         values = columns[name]
@@ -318,13 +318,13 @@ def _find_differing_run(
         for rows in runs:
             table[rows, 2] = np.gradient(columns[other][rows], time[rows])
         table[:, 1:] -= table[:, 1:].mean(axis=0)
-        sizes, rms = np.maximum(np.abs(table).max(axis=0), np.finfo(float).tiny), list[float]()
-        table /= sizes
+        scales, rms = np.maximum(np.abs(table).max(axis=0), np.finfo(float).tiny), list[float]()
+        table /= scales
         # Leave-one-run-out by subtraction of its sums of products: as fast for many runs as for a few.
         products = np.array([table[rows].T @ table[rows] for rows in runs])
         for rows, p in zip(runs, products.sum(axis=0) - products, strict=True):
             rss = p[3, 3] - p[:3, 3] @ np.linalg.pinv(p[:3, :3], hermitian=True) @ p[:3, 3]
-            rms.append(float(sizes[3] * np.sqrt(max(rss, 0.0) / (len(time) - len(rows)))))
+            rms.append(float(scales[3] * np.sqrt(max(rss, 0.0) / (len(time) - len(rows)))))
         run, next_run = np.argsort(rms)[:2]
         if rms[next_run] > max(MIN_RMS_RATIO * rms[run], MIN_ANOMALY_DEGREES):
             label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
@@ -332,23 +332,23 @@ def _find_differing_run(
             yield Anomaly("run", name, text, runs[run])
 
 
-def find_jumps(values: np.ndarray, segments: Segments, least: float = 0.0) -> np.ndarray:
-    """Return the rows of outliers from the running median, beyond what rate of change, noise and rounding explain.
+def find_jumps(values: np.ndarray, segments: Segments, min_jump: float = 0.0) -> np.ndarray:
+    """Return the rows that deviate from the running median by more than rate of change, noise and rounding explain.
 
     On a ramp, and on both sides of a step, a reading equals the running median. Equal consecutive values count as one.
     """
     outliers = [np.zeros(0, int)]
     step = float(np.diff(np.unique(values)).min(initial=np.inf))
     for segment in segments:
-        begins, counts = equal_runs(values[segment])
-        levels = values[segment][begins]
+        starts, counts = equal_runs(values[segment])
+        levels = values[segment][starts]
         if len(levels) <= 2 * HALF_WIDTH:
             continue
         padded = np.pad(levels, HALF_WIDTH, mode="reflect")
         medians = np.median(sliding_window_view(padded, 2 * HALF_WIDTH + 1), axis=1)
-        change = float(np.quantile(np.abs(np.diff(levels)), TYPICAL_CHANGE_QUANTILE))
-        tolerance = max(least, MIN_JUMP_STEPS * step, MIN_JUMP_SD * estimate_noise_sd(levels))
-        is_outlier = np.abs(levels - medians) > tolerance + HALF_WIDTH * change
+        typical_change = float(np.quantile(np.abs(np.diff(levels)), TYPICAL_CHANGE_QUANTILE))
+        tolerance = max(min_jump, MIN_JUMP_STEPS * step, MIN_JUMP_SD * estimate_noise_sd(levels))
+        is_outlier = np.abs(levels - medians) > tolerance + HALF_WIDTH * typical_change
         outliers.append(segment[np.repeat(is_outlier, counts)])
     return np.sort(np.concatenate(outliers))
 
@@ -363,7 +363,7 @@ MIN_HELD_SHARE = 0.05  # minimum share of these jumps in the changes of a segmen
 
 
 def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
-    """Return the rows of segments with held values: constant until the next jump, as of a rarely polled sensor.
+    """Return the rows of the segments with held values, constant until the next jump, as of a rarely polled sensor.
 
     Rounded values repeat too, but change by a rounding step, the smallest difference of distinct values.
     """
@@ -371,8 +371,8 @@ def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
     levels = np.unique(values[np.concatenate([held_rows[0], *segments])])
     min_jump = MIN_JUMP_STEPS * float(np.diff(levels).min(initial=np.inf))
     for segment in segments:
-        begins, counts = equal_runs(values[segment])
-        is_repeated, change = counts > 1, np.abs(np.diff(values[segment][begins]))
+        starts, counts = equal_runs(values[segment])
+        is_repeated, change = counts > 1, np.abs(np.diff(values[segment][starts]))
         is_jump = is_repeated[:-1] & is_repeated[1:] & (change > min_jump)
         if is_jump.any() and is_jump.mean() > MIN_HELD_SHARE:
             held_rows.append(segment)
@@ -381,7 +381,7 @@ def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
 
 
 def select_repeats(values: np.ndarray, segments: Segments, rows: np.ndarray) -> np.ndarray:
-    """Return those of `rows` that equal the preceding reading of their segment."""
+    """Return those of `rows` whose value equals that of the preceding reading of their segment."""
     repeats = [segment[1:][values[segment[1:]] == values[segment[:-1]]] for segment in segments]
     return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *repeats]))
 
@@ -393,7 +393,7 @@ MAX_REPEATED_SHARE = 0.1
 
 
 def find_stuck_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
-    """Return the rows of the level at which a column is constant for far longer than elsewhere; empty if none."""
+    """Return the rows of the value at which a column is constant for far longer than at others; empty if none."""
     begins, lengths = zip(*(equal_runs(values[segment]) for segment in segments), strict=True)
     starts = [segment[indices] for segment, indices in zip(segments, begins, strict=True)]
     levels = values[np.concatenate(starts)]
@@ -410,9 +410,9 @@ ROOM_DEGREES = 20.0  # °C, assumed start temperature of a record with a wrappin
 
 
 def unwrap(values: np.ndarray, records: Records, period: float, start: float) -> np.ndarray:
-    """Unwrap a counter that wraps around at `period`; return the column in the order of the file (n,).
+    """Unwrap the values (n,) of a counter that wraps around at `period`, in the unit of the values.
 
-    Each record is unwrapped separately, in its unit. The first begins near `start` (20 °C, or 0); later ones are
+    Each record is unwrapped separately. The first begins near `start` (20 °C, or 0); later ones are
     shifted by multiples of the period so that their means are closest to that of the first.
     """
     unwrapped, mean = values.copy(), None

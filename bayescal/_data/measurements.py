@@ -27,7 +27,7 @@ from bayescal._data.column import (
     ConvertedColumns,
     NominalScale,
     Source,
-    file_names,
+    format_files,
 )
 from bayescal._data.column_conversion import convert_columns, join_files
 from bayescal._data.read_options import InstrumentLike, ReadOptions, check_options, output_name
@@ -225,7 +225,7 @@ class Measurements(Printed):
     @property
     def file(self) -> str:
         """Return the abbreviated names of the source files, for messages."""
-        return file_names([source.file for source in self.sources])
+        return format_files([source.file for source in self.sources])
 
     def unit(self, name: str) -> str | None:
         """Return a column's fixed unit, None for labels; raise InputError for an unknown name."""
@@ -389,7 +389,9 @@ class Measurements(Printed):
         counts = np.diff(begins, append=time.size)
         averaging.check_averaging_time(time[order], is_next, counts, seconds, self.file)
         means = {
-            name: v[order][begins] if units[name] is None else averaging.mean_rows(v[order], begins)
+            name: v[order][begins]
+            if units[name] is None
+            else averaging.take_means(v[order], begins)
             for name, v in self.values.items()
         }
         noise = averaging.estimate_reading_noise(self.values, self.output, order, ~is_start)
@@ -444,7 +446,7 @@ def measure_tables(
         for t, o in zip(tables, file_options, strict=True)
         if t.sha256
     )
-    names = file_names([source.file for source in sources])
+    names = format_files([source.file for source in sources])
     values, units = joined.values, joined.units
     repeated = checks.find_repeated_rows(values)
     flags = checks.flags_of(joined, output, names, repeated)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal._data.averaging import mean_rows
+from bayescal._data.averaging import take_means
 from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.noise_on_record import SdWhitening, Whitening
 from bayescal._inference.problem import Problem
@@ -41,15 +41,15 @@ class Means:
         lengths = np.diff(run_starts, append=len(is_first))
         position = np.arange(len(is_first)) - np.repeat(run_starts, lengths)
         starts = np.flatnonzero(position % count == 0)
-        clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), starts)
+        clock = take_means(np.cumsum(np.maximum(frame.step, 0.0)), starts)
         step = np.where(frame.step[starts] < 0, -1.0, np.diff(clock, prepend=0.0))
         means = frame.reorder(starts, np.arange(len(starts)), step)
         arrays = {
-            n: {k: mean_rows(a, starts) for k, a in getattr(frame, n).items()}
+            n: {k: take_means(a, starts) for k, a in getattr(frame, n).items()}
             for n in ROW_FIELDS
             if n not in ("codes", "labels")  # constant within a block
         }
-        y = mean_rows(record.y[record.time_order[0]], starts)
+        y = take_means(record.y[record.time_order[0]], starts)
         return cls(record, Record(record.instrument, replace(means, **arrays), y), starts, count)
 
     @cached_property
@@ -60,7 +60,7 @@ class Means:
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
         """Return the mean of rows, one per reading (n, …), in each block (m, …)."""
         order = self.source.time_order[0]
-        return mean_rows(rows if self.source.is_time_ordered else rows[order], self.starts)
+        return take_means(rows if self.source.is_time_ordered else rows[order], self.starts)
 
     def within_fraction(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
         """Return the fraction of each column's variance that is within blocks (k,)."""

@@ -71,7 +71,7 @@ def escape(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def axis_label(name: str, unit: str) -> str:
+def format_axis(name: str, unit: str) -> str:
     """Format a name with its unit, as in "temperature [°C]"; that of a pure number is "[1]"."""
     return f"{format_label(name)} [{unit_label(unit) or '1'}]"
 
@@ -144,8 +144,8 @@ def plot_residual_panel(
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
     unit = entry.worst.covariate_unit or DERIVED_UNITS.get(entry.covariate, "")
     name = "lagged " * (body_temperatures is not None) + entry.covariate
-    ax.set_xlabel(f"{name} [{unit}]" if unit == "row" else axis_label(name, unit))
-    ax.set_ylabel(axis_label("residual", check.unit))
+    ax.set_xlabel(f"{name} [{unit}]" if unit == "row" else format_axis(name, unit))
+    ax.set_ylabel(format_axis("residual", check.unit))
     factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
     ax.set_title(f"{title} ({factor})" if title else factor, fontsize=10, loc="left")
     ax.locator_params(axis="x", nbins=6)
@@ -222,7 +222,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = ""
     floor = last_step["noise_floor"]
     line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
-    ax.set_xlabel(axis_label("rms error", last_step["unit"]))
+    ax.set_xlabel(format_axis("rms error", last_step["unit"]))
     handles = sorted(ax.get_legend_handles_labels()[0], key=lambda handle: handle is line)
     _place_legend_below(ax, handles, 2)
     return ax.figure
@@ -283,7 +283,7 @@ def loop(found: SearchPath) -> Figure:
         title = "3  residuals of the last model"
         plot_residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
         label = f"residual{' (another scale)' * (last_step is not first_step)}"
-        last_ax.set_ylabel(axis_label(label, last_step.check.unit))
+        last_ax.set_ylabel(format_axis(label, last_step.check.unit))
     if first_step.discovery is not None:
         missing(first_step.discovery, bars)
     bars.set_title("2  effects added singly to the first model", fontsize=10, loc="left")
@@ -332,8 +332,8 @@ def _label_allan(ax: Any, unit: str, terms: Sequence[str]) -> Figure:
     """Label the axes of a plotted Allan deviation (in `unit`), with noise parameters as title; return the figure."""
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.set_xlabel(axis_label("averaging time τ", "s"))
-    ax.set_ylabel(axis_label("Allan deviation", unit))
+    ax.set_xlabel(format_axis("averaging time τ", "s"))
+    ax.set_ylabel(format_axis("Allan deviation", unit))
     ax.set_title(", ".join(terms), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)
     return ax.figure

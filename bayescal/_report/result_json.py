@@ -70,7 +70,7 @@ def result(path: SearchPath) -> dict[str, Any]:
         pairs = ((p.covariates, p.log_bayes_factor) for p in step.check.pairs)
         tables["pairs"] += [{"step": i, "against": c, "log_bayes_factor": f} for c, f in pairs]
         if step.discovery is not None:
-            tables["missing"].append(missing_data(step.discovery, i, step.check))
+            tables["missing"].append(convert_missing(step.discovery, i, step.check))
     verdict = final.verdict
     reasons = [*verdict.reasons, *([] if path.gate.ok else [path.gate.reason])]
     return as_json(
@@ -99,8 +99,8 @@ def result(path: SearchPath) -> dict[str, Any]:
                 **{k: v for k, v in as_json(path.other_path).items() if k != "correlated"},
                 "in_words": str(path.other_path),
             },
-            "search": search_data(path),
-            "steps": [step_data(s) for s in path.steps],
+            "search": convert_search(path),
+            "steps": [convert_step(s) for s in path.steps],
             **tables,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
@@ -115,7 +115,7 @@ def result(path: SearchPath) -> dict[str, Any]:
     )
 
 
-def search_data(path: SearchPath) -> dict[str, Any] | None:
+def convert_search(path: SearchPath) -> dict[str, Any] | None:
     """Convert the evaluated structures and the reason why the search ended to plain data; None without a search."""
     search = path.search
     if search is None:
@@ -161,7 +161,7 @@ def _group_data(readings: Measurements) -> dict[str, Any]:
     return {**nonzero, "left_out": kind, "left_out_count": len(members)}
 
 
-def step_data(step: Step) -> dict[str, Any]:
+def convert_step(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
     noise_parameters = set(calibration.model.noise.parameters())
@@ -184,7 +184,7 @@ def step_data(step: Step) -> dict[str, Any]:
     }
 
 
-def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any]:
+def convert_missing(discovery: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
         "nothing_missing_probability": discovery.nothing_missing,
@@ -210,7 +210,7 @@ def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any
     }
 
 
-def experiment_data(ranking: NextExperiment) -> dict[str, Any]:
+def convert_ranking(ranking: NextExperiment) -> dict[str, Any]:
     def expected_rows(e: Any) -> list[dict[str, Any]]:
         pairs = e.expected.items()
         return [{"truth": truth, "rival": rival, "value": value} for (truth, rival), value in pairs]
@@ -312,7 +312,7 @@ def read_chapter(
             f"{RESULT} and {CALIBRATION} in {folder} are of different fits (SHA-256 {stated_hash} and {loaded_hash}): "
             f"calibrate again, or give {CALIBRATION} alone"
         )
-    average = load(folder / AVERAGED, **user_parts) if AVERAGED in files_of(folder) else None
+    average = load(folder / AVERAGED, **user_parts) if AVERAGED in read_hashes(folder) else None
     return Chapter(calibration, check(calibration), data, average)
 
 

@@ -21,9 +21,9 @@ from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
     channel_folders,
-    drawing,
+    guard_drawing,
     name_folders,
-    whole_folder,
+    replace_folder,
 )
 from bayescal._search.calibrate import calibrate as calibrate
 from bayescal._search.calibrate_channels import Channels
@@ -53,11 +53,11 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
         searches = {subfolder: paths[name] for name, subfolder in name_folders(paths).items()}
     else:
         searches[""] = self
-    with whole_folder(folder) as hidden:
+    with replace_folder(folder) as hidden:
         for subfolder, path in searches.items():
             write_search(path, hidden / subfolder)
         if isinstance(self, Channels):
-            write_json(channels_data(self), hidden / CHANNELS)
+            write_json(convert_channels(self), hidden / CHANNELS)
             with suppress(InputError):  # no readable channels.json from an earlier run
                 for subfolder in channel_folders(folder):
                     if (folder / subfolder).is_dir() and not (folder / subfolder).is_symlink():
@@ -73,7 +73,7 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     """
     if deadline.current().is_over:
         return
-    with drawing(PICTURE), whole_folder(folder, keep_results=True) as hidden:
+    with guard_drawing(PICTURE), replace_folder(folder, keep_results=True) as hidden:
         from bayescal._report.plots import loop, save, use_own_style
 
         for subfolder, path in searches.items():
@@ -101,7 +101,7 @@ SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
 )
 
 
-def channels_data(channels: Channels) -> dict[str, Any]:
+def convert_channels(channels: Channels) -> dict[str, Any]:
     """Convert an overview of channels and their shared effects to plain data, the content of channels.json."""
     folders = name_folders(channels.search_paths)
     return as_json(

@@ -54,7 +54,7 @@ def is_inside(name: str) -> bool:
 
 
 @contextmanager
-def whole_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
+def replace_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
     """Yield a hidden folder to write to; move its files to `folder` once all are written.
 
     Unmodified results of an earlier run are removed from `folder`; other files are kept. The same applies to
@@ -85,7 +85,7 @@ def whole_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def drawing(subject: str) -> Iterator[None]:
+def guard_drawing(subject: str) -> Iterator[None]:
     """Convert any exception raised while drawing `subject` to NotDrawn.
 
     Raises:
@@ -97,7 +97,7 @@ def drawing(subject: str) -> Iterator[None]:
         raise NotDrawn(subject, error) from error
 
 
-def files_of(folder: Path) -> dict[str, str]:
+def read_hashes(folder: Path) -> dict[str, str]:
     """Return the files listed in a folder's manifest, name → SHA-256; {} without a manifest.
 
     Raises:
@@ -118,7 +118,7 @@ def files_of(folder: Path) -> dict[str, str]:
 
 def refuse_mixed(folder: Path, *names: str) -> None:
     """Raise InputError if files (those named, or all) differ from the hashes in the folder's manifest."""
-    hashes = {n: d for n, d in files_of(folder).items() if not names or n in names}
+    hashes = {n: d for n, d in read_hashes(folder).items() if not names or n in names}
     for name, digest in hashes.items():
         if (folder / name).is_file() and compute_sha256(folder / name) != digest:
             raise InputError(
@@ -130,7 +130,7 @@ def refuse_mixed(folder: Path, *names: str) -> None:
 def _find_unmodified(folder: Path) -> dict[str, str]:
     """Return the unmodified result files of an earlier run, name → SHA-256."""
     try:
-        hashes = files_of(folder)
+        hashes = read_hashes(folder)
     except InputError:
         return {}
     present_hashes = {n: d for n, d in hashes.items() if (folder / n).is_file()}

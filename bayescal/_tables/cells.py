@@ -15,7 +15,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 
-EXAMPLE = "2026-11-22 10:00:00.123"  # of a date, for messages
+EXAMPLE = "2026-11-22 10:00:00.123"  # date quoted in messages
 # Orders of month, day and year in dates; of hours, minutes and seconds in times of day.
 ORDERS: tuple[str, ...] = ("mdy", "dmy", "ymd", "hms")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -29,10 +29,10 @@ _DATE_FORMATS = {
     re.compile(r"([^\W\d_]{3,10})\.? (\d{1,2}),? (\d{4})(?!\d)"): {"": (3, 1, 2)},  # Nov 23, 2026
 }  # fmt: skip
 _DATE_TIME_GAP = re.compile(r"\s*(?:[T,_-]|klo)?\s*")  # text between a date and its time of day
-_CLOCK = re.compile(
+_CLOCK_TIME = re.compile(
     r"(\d{1,4})([:.])(\d\d)(?:\2(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
 )
-_POINTS = re.compile(r"\d{1,2}\.\d\d\.\d\d(?!\d)")  # 10.14.20: a time of day, or a date
+_POINTED_TEXT = re.compile(r"\d{1,2}\.\d\d\.\d\d(?!\d)")  # 10.14.20: a time of day, or a date
 _MONTHS = {  # prefixes of their names in European languages, without accents
     "jan": 1, "gen": 1, "ene": 1, "tammi": 1, "feb": 2, "fev": 2, "helmi": 2, "mar": 3, "mrz": 3, "mrt": 3, "maa": 3,
     "apr": 4, "avr": 4, "abr": 4, "huhti": 4, "may": 5, "mai": 5, "mei": 5, "mag": 5, "maj": 5, "touko": 5, "jun": 6,
@@ -43,9 +43,9 @@ _MONTHS = {  # prefixes of their names in European languages, without accents
 
 
 def parse_date(text: str) -> dict[str, float]:
-    """Return a date in s since 1970, or a time of day in s, by each valid order of `ORDERS`; {} for other text.
+    """Return a date, s since 1970, or a time of day, s, by order: each valid one of `ORDERS`; {} for other text.
 
-    The key of an unambiguous text is "". Accepted are ISO 8601, with or without a time zone; 11/23/2026, 23/11/2026,
+    An unambiguous text has the key "". Accepted are ISO 8601, with or without a time zone; 11/23/2026, 23/11/2026,
     23.11.2026, 2026/11/23, 23-Nov-2026 and Nov 23, 2026, with or without a time such as 14:05:33.250, 14:05:33,250,
     14:05:33:250, 14.05.33 or 2:05:33 PM after them; and times alone (10.11.12 may be a date, too). A date without a
     time zone is UTC. The resolution of float64 for seconds since 1970 is a quarter of a microsecond.
@@ -56,29 +56,29 @@ def parse_date(text: str) -> dict[str, float]:
             date = datetime.fromisoformat(text)
             delta = (date if date.tzinfo else date.replace(tzinfo=UTC)) - _EPOCH
             return {"": (delta.days * 86400 + delta.seconds) + delta.microseconds * 1e-6}
-    if _POINTS.match(text):
-        clock, day = _parse_time(text, max_hours=23), _parse_days(text).get("")
-        readings = {"hms": clock, "dmy": None if day is None else day * _DAY}
+    if _POINTED_TEXT.match(text):
+        clock_s, day = _parse_time(text, max_hours=23), _parse_days(text).get("")
+        readings = {"hms": clock_s, "dmy": None if day is None else day * _DAY}
         if valid_readings := {name: value for name, value in readings.items() if value is not None}:
             return valid_readings
-    elif _CLOCK.fullmatch(text) and ":" in text:
-        clock = _parse_time(text, max_hours=9999)
-        return {} if clock is None else {"": clock}
-    day, clock = _split_date_time(text)
-    return {} if clock is None else {n: d * _DAY + clock for n, d in _parse_days(day).items()}
+    elif _CLOCK_TIME.fullmatch(text) and ":" in text:
+        clock_s = _parse_time(text, max_hours=9999)
+        return {} if clock_s is None else {"": clock_s}
+    day, clock_s = _split_date_time(text)
+    return {} if clock_s is None else {n: d * _DAY + clock_s for n, d in _parse_days(day).items()}
 
 
 def _split_date_time(text: str) -> tuple[str, float | None]:
-    """Split a text into a date ("" without one) and the time of day after it, s (None for other text)."""
+    """Split a text into a date ("" if none) and the time of day after it, s (0 if none, None for other text)."""
     date_match = next((match for pattern in _DATE_FORMATS if (match := pattern.match(text))), None)
-    day = date_match[0] if date_match else ""
-    time_text = _DATE_TIME_GAP.sub("", text[len(day) :], count=1)
-    return day, _parse_time(time_text, max_hours=23) if len(day) < len(text) else 0.0
+    date_text = date_match[0] if date_match else ""
+    time_text = _DATE_TIME_GAP.sub("", text[len(date_text) :], count=1)
+    return date_text, _parse_time(time_text, max_hours=23) if len(date_text) < len(text) else 0.0
 
 
 @lru_cache(maxsize=4096)  # days repeat
 def _parse_days(text: str) -> dict[str, int]:
-    """Return a date in days since 1970, by each possible order of day, month and year; "" if unambiguous."""
+    """Return a date, days since 1970, by order: each possible one of day, month and year, or "" if unambiguous."""
     days = dict[str, int]()
     for pattern, orders in _DATE_FORMATS.items():
         if not (match := pattern.fullmatch(text)):
@@ -89,15 +89,15 @@ def _parse_days(text: str) -> dict[str, int]:
                 if len(year) in (2, 4):  # two digits: this century
                     word = "".join(filter(str.isalpha, unicodedata.normalize("NFD", month.lower())))
                     prefix = max(filter(word.startswith, _MONTHS), key=len, default="")
-                    number = int(month) if month.isdigit() else _MONTHS.get(prefix, 0)
-                    day_date = date(int(year) + 2000 * (len(year) == 2), number, int(day))
+                    month_number = int(month) if month.isdigit() else _MONTHS.get(prefix, 0)
+                    day_date = date(int(year) + 2000 * (len(year) == 2), month_number, int(day))
                     days[order] = (day_date - _EPOCH.date()).days
     return days
 
 
 def _parse_time(text: str, max_hours: int) -> float | None:
-    """Return a time of day up to `max_hours` hours in s, less the offset of its time zone; None for other text."""
-    if not (match := _CLOCK.fullmatch(text.strip())):
+    """Return a time of at most `max_hours` hours in s, minus the UTC offset of its time zone; None for other text."""
+    if not (match := _CLOCK_TIME.fullmatch(text.strip())):
         return None
     hours, _, minutes, seconds, fraction, am_pm, zone = match.groups()
     hour = int(hours)
@@ -113,7 +113,7 @@ def _parse_time(text: str, max_hours: int) -> float | None:
 
 
 def has_time_zone(text: str) -> bool:
-    """Return whether a date has a time zone."""
+    """Return whether the text of a date and time ends in a time zone."""
     return bool(re.search(r"(?:Z|[+-]\d\d:?\d\d)$", text.strip())) and ":" in text
 
 
@@ -123,12 +123,12 @@ def format_date(seconds: float) -> str:
     return date_time.replace(tzinfo=None).isoformat(sep=" ")
 
 
-EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s since 1970, of the years 2000 and 2100
+EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # the years 2000 and 2100, s since 1970
 _MAX_SPAN_SECONDS = 1e7  # four months; microseconds that are read as milliseconds span more
 
 
 def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Return times since 1970, s, relative to the earliest, and this origin; other values unchanged, and None.
+    """Return times relative to the earliest, and this origin, s since 1970; values that are no dates, and None.
 
     Relative times are rounded to the microsecond, near the resolution of float64 for seconds since 1970.
     """
@@ -139,7 +139,7 @@ def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
 
 
 def detect_epoch_unit(values: np.ndarray, max_span: float = _MAX_SPAN_SECONDS) -> str | None:
-    """Return the unit (s, ms, us, ns) of times since 1970, by their magnitude; None for other numbers."""
+    """Return the unit (s, ms, us, ns) of times since 1970, inferred from their magnitude; None for other numbers."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return None
@@ -166,7 +166,7 @@ class Cells:
 
     Attributes:
         values: float64, NaN for empty or invalid cells; or stripped text, "" for empty cells.
-        invalid_texts: index → text of the first 1000 invalid cells, which are not numbers although these are expected.
+        invalid_texts: index → text, of the first 1000 cells of a numeric column that are neither numbers nor empty.
         texts: all cells as text, if any is invalid; else None.
     """
 
@@ -176,30 +176,30 @@ class Cells:
 
     @property
     def dates(self) -> np.ndarray | None:
-        """Return the cells as text if the first non-numeric cell is a date; else None."""
+        """Return all cells as text if the first that is neither a number nor empty is a date; else None."""
         cells = () if self.texts is None else zip(self.texts, np.isnan(self.values), strict=True)
         first_text = next((text for text, is_text in cells if is_text and not is_missing(text)), "")
         return self.texts if parse_date(first_text) else None
 
     def on_days(self, days: Cells) -> Cells:
-        """Combine times of day with the dates of another column; return self if either column has other texts."""
+        """Return the times of day joined to the dates of another column; self if either column has other texts."""
         if self.dates is None or days.dates is None:
             return self
         texts = list[str]()
-        for day, clock in zip(days.dates, self.dates, strict=True):
-            date_text, clock_of_day = _split_date_time(day.strip())
-            stamp = f"{date_text if clock_of_day == 0.0 else day} {clock}"  # Excel adds midnight to days
-            if not parse_date(stamp) and parse_date(day) and parse_date(clock):
+        for day, time_text in zip(days.dates, self.dates, strict=True):
+            date_text, day_seconds = _split_date_time(day.strip())
+            date_time_text = f"{date_text if day_seconds == 0.0 else day} {time_text}"  # Excel adds midnight to days
+            if not parse_date(date_time_text) and parse_date(day) and parse_date(time_text):
                 return self
-            texts.append("" if is_missing(day) or is_missing(clock) else stamp)
+            texts.append("" if is_missing(day) or is_missing(time_text) else date_time_text)
         return replace(self, texts=np.array(texts, TEXT))
 
 
 def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
     """Parse a column of dates to s since 1970; other texts, also numbers, are invalid.
 
-    The order of month, day and year is `order`, or the only order in which all cells are dates. If it is ambiguous, the
-    possible orders are returned as second item, else an empty list.
+    The order of month, day and year is `order`, or the only one in which all cells are dates. The second item lists the
+    possible orders if several are, else it is empty.
     """
     rows, invalid_texts = np.full((len(ORDERS), len(texts)), np.nan), dict[int, str]()
     has_zone, is_unambiguous = None, True
@@ -225,7 +225,7 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
 
 
 def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Parse texts, one per reading, as numbers; keep the texts if any is not a number, since they may be dates.
+    """Parse texts, one per reading, as numbers; also keep the texts if any is no number, since they may be dates.
 
     Empty texts, "nan" and other marks of missing readings give NaN; `decimal` is a point or a comma.
     """
@@ -242,12 +242,12 @@ def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
 
 
 def is_missing(text: str) -> bool:
-    """Return whether a cell marks a missing reading."""
+    """Return whether the text of a cell marks a missing reading: "", "nan", "n/a", "-" and others."""
     return text.strip().lower() in MISSING
 
 
 def _replace_comma(text: str) -> str:
-    """Replace a decimal comma by a point; make a number with a point (thousands separator) invalid."""
+    """Replace a decimal comma by a point; return "?" for a number with a point, which may separate thousands."""
     if DECIMAL_COMMA.fullmatch(text.strip()):
         return text.replace(",", ".")
     return "?" if "." in text and not np.isnan(to_number(text)) else text
@@ -262,7 +262,7 @@ def to_number(text: str) -> float:
 
 
 def to_cells(array: np.ndarray, is_number: bool, decimal: str = ".") -> Cells:
-    """Convert the values of one column, one per reading, to cells: numbers or labels; `decimal` as in `to_numbers`."""
+    """Convert a column's values, one per reading, to `Cells` of numbers or labels; `decimal` as in `to_numbers`."""
     if array.dtype.kind == "M":
         array = array.astype("datetime64[us]").astype(object)
     if is_number and array.dtype.kind in "iuf":
@@ -279,7 +279,7 @@ def to_cells(array: np.ndarray, is_number: bool, decimal: str = ".") -> Cells:
 
 
 def broadcast_columns(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
-    """Broadcast columns to vectors of equal length; a single value applies to all readings.
+    """Broadcast columns to vectors of equal length; a scalar applies to all readings.
 
     Raises:
         InputError: lengths differ, or a column is not a vector.
@@ -288,7 +288,7 @@ def broadcast_columns(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
     lengths = {len(array) for array in arrays.values() if array.ndim == 1}
     if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
         shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
-        raise InputError(f"columns must be vectors of equal length, not of shapes: {shapes}")
+        raise InputError(f"columns must be vectors of equal length; their shapes are: {shapes}")
     rows = lengths.pop() if lengths else 1
     return {name: np.broadcast_to(array, (rows,)) for name, array in arrays.items()}
 

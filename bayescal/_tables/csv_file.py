@@ -1,4 +1,4 @@
-"""Reading and writing of CSV: a first pass finds malformed lines, then columns are read in chunks; line 1 is row 1."""
+"""Reading and writing of CSV: a first pass checks all lines, then columns are loaded in chunks. Rows count from 1."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ _NO_UNITS = ("TS", "RN")  # Campbell loggers' texts in place of units: time stam
 
 @dataclass
 class CsvText:
-    """Text file and its layout; rows are line numbers.
+    """Text file and its layout; rows are line numbers from 1.
 
     Attributes:
-        data: content in UTF-8, with tabs in place of runs of blanks that separate fields.
+        data: content in UTF-8; runs of blanks that separate fields are replaced by tabs.
         encoding: encoding of the file.
         decimal: decimal mark, point or comma; empty until it is detected.
         header_row: row of the header.
         first_row, offset: row and byte offset of the first line after the header.
         reading_rows: rows of readings (n,).
-        notes: notes about an unusual layout.
+        notes: sentences about an unusual layout, for the user.
     """
 
     file: str
@@ -80,7 +80,7 @@ class CsvText:
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
 
     def to_table(self, *further_notes: str) -> Table:
-        """Return the table of the readings, with `further_notes` after the file's own notes."""
+        """Return a table that loads the columns of readings on demand; `further_notes` follow the file's own notes."""
         return Table(
             self.file,
             tuple(Header.parse(unquote_cell(text)) for text in self.header),
@@ -92,14 +92,14 @@ class CsvText:
         )
 
     def rows(self) -> Iterable[bytes]:
-        """Iterate over the lines below the header."""
+        """Return an iterator over the lines below the header, in UTF-8."""
         handle = io.BytesIO(self.data)  # without a copy
         handle.seek(self.offset)
         return handle
 
     def load(self, columns: Mapping[int, bool]) -> dict[int, np.ndarray]:
-        """Return the texts of columns by position; `columns`: position → whether numeric."""
-        parts, blank_bytes = {p: list[np.ndarray]() for p in columns}, self.blank_bytes
+        """Return the texts (n,) of columns by position; `columns`: position → whether the column is numeric."""
+        text_arrays, blank_bytes = {p: list[np.ndarray]() for p in columns}, self.blank_bytes
         lines = (line for line in self.rows() if line.strip(blank_bytes))
         while chunk := list(islice(lines, _CHUNK_ROWS)):
             text = b"".join(chunk).decode()
@@ -113,11 +113,11 @@ class CsvText:
                 texts = fields[position :: len(self.header)]
                 if not is_number:
                     texts = [unquote_cell(text.strip()) for text in texts]
-                parts[position].append(np.array(texts, TEXT))
-        return {position: np.concatenate(pieces) for position, pieces in parts.items()}
+                text_arrays[position].append(np.array(texts, TEXT))
+        return {position: np.concatenate(arrays) for position, arrays in text_arrays.items()}
 
     def split(self, line: str, row: int, position: str = "", cure: str = "") -> list[str]:
-        """Split a line into fields; raise InputError for unpaired quotation marks."""
+        """Split a line into fields; raise InputError about its `row` for unpaired quotation marks."""
         if '"' not in line:
             return line.split(self.separator)
         try:
@@ -130,7 +130,7 @@ class CsvText:
 
 
 def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
-    """Parse the bytes of a file: its layout and its rows.
+    """Parse the bytes of a text file: find its encoding, layout and rows of readings.
 
     Fields are separated by comma, semicolon, tab, bar or blanks. `decimal`: point or comma; empty to detect it: comma
     if the separator is not a comma and a number such as 20,5 cannot contain a thousands separator, else point.
@@ -148,7 +148,7 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
 
 
 def _decode(data: bytes, file: str) -> tuple[bytes, str]:
-    """Decode the bytes of a file; return its text in UTF-8, and the encoding.
+    """Decode the bytes of a file; return its content in UTF-8, and the name of its encoding.
 
     The encoding is windows-1252 if no non-ASCII bytes form a UTF-8 character, since such sequences hardly occur in it.
     A file with characters of both encodings is refused.
@@ -184,25 +184,25 @@ def _decode(data: bytes, file: str) -> tuple[bytes, str]:
 
 
 def _read_header(text: CsvText) -> None:
-    """Find the separator and the header, and set the attributes of `text` that describe them.
+    """Find the separator and the header of a file, and store them and their rows in `text`.
 
     The header is the first line that is neither blank nor a '#' comment, unless column names follow below a description
-    of the test, or are in a comment; blanks are tried as separators if no other header is found.
+    of the test, or are in a comment. If no header is found, blanks are tried as separators.
     """
     header, lines = None, _read_first_lines(text)
-    for commented, runs in product((False, True), (None, *_BLANKS)):
+    for commented, blanks in product((False, True), (None, *_BLANKS)):
         texts = _read_first_lines(text, commented)
-        if header := _find_header([_insert_tabs(x.encode(), runs).decode() for _, x, _ in texts]):
-            if runs:
+        if header := _find_header([_insert_tabs(x.encode(), blanks).decode() for _, x, _ in texts]):
+            if blanks:
                 text.notes.append("its fields are separated by blanks")
-                text.data = _insert_tabs(text.data, runs)
+                text.data = _insert_tabs(text.data, blanks)
             lines = _read_first_lines(text, commented)
             break
     if not lines:
         expected = "a header 'name [unit], …' and rows of readings were expected"
         raise unusable(text.file, "is empty", expected)
-    row, line, end = lines[header.first if header else 0]
-    last_row, _, end = lines[header.last] if header else (row, line, end)
+    row, line, end_offset = lines[header.first if header else 0]
+    last_row, _, end_offset = lines[header.last] if header else (row, line, end_offset)
     separator = text.separator = header.separator if header else _rank_separators(line)[0]
     check_width(text.file, 1 + line.count(separator))
     fields = line.split(separator), line.split()
@@ -215,7 +215,7 @@ def _read_header(text: CsvText) -> None:
     lines_above = lines[: header.first if header else 0]
     rows_above = [_split_fields(line, separator) for _, line, _ in lines_above]
     text.header = _append_units(text.header, _find_labview_units(rows_above))
-    text.first_row, text.offset, text.header_row = last_row + 1, end, row
+    text.first_row, text.offset, text.header_row = last_row + 1, end_offset, row
     if rows_above:
         text.notes.append(f"its header is row {row}; the rows above are ignored")
     if text.first_row - row > 1:
@@ -223,14 +223,14 @@ def _read_header(text: CsvText) -> None:
 
 
 def _read_first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
-    """Return row, text and end offset of the first lines that are neither blank nor (unless `commented`) comments."""
-    handle, first_lines, row = io.BytesIO(text.data), [], 0
-    while len(first_lines) < _HEADER_ROWS and (raw := handle.readline()):
+    """Return row, text and end offset of the first lines that are not blank and, unless `commented`, no comments."""
+    stream, first_lines, row = io.BytesIO(text.data), [], 0
+    while len(first_lines) < _HEADER_ROWS and (raw := stream.readline()):
         row += 1
         line = raw.removeprefix(_BYTE_ORDER_MARK if row == 1 else b"").decode("utf-8", "replace")
         line = line.removeprefix("#").lstrip() if commented else line
         if line.strip() and not line.startswith("#"):
-            first_lines.append((row, line.rstrip("\r\n"), handle.tell()))
+            first_lines.append((row, line.rstrip("\r\n"), stream.tell()))
     return first_lines
 
 
@@ -247,12 +247,12 @@ def _find_header(texts: Sequence[str]) -> _HeaderRows | None:
     return None
 
 
-def _insert_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
-    """Replace the blanks that separate fields, matches of `runs`, by tabs, and strip lines."""
-    if runs is None:
+def _insert_tabs(data: bytes, blanks: re.Pattern[bytes] | None) -> bytes:
+    """Strip the lines and replace the blanks that separate fields (matches of `blanks`) by tabs; unchanged for None."""
+    if blanks is None:
         return data
     lines = (x.strip(b" \t") for x in data.replace(b"\r\n", b"\n").split(b"\n"))
-    return b"\n".join((_UNIT_GAP if x[:1] in b"[(<{" else runs).sub(b"\t", x) for x in lines)
+    return b"\n".join((_UNIT_GAP if x[:1] in b"[(<{" else blanks).sub(b"\t", x) for x in lines)
 
 
 def _split_fields(line: str, separator: str) -> list[str]:
@@ -265,7 +265,7 @@ def _split_fields(line: str, separator: str) -> list[str]:
 
 
 def _find_labview_units(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the columns' units from the header of a LabVIEW measurement file (.lvm); [] for other files."""
+    """Return the columns' units from the rows above the header of a LabVIEW measurement file (.lvm), [] for others."""
     properties = {row[0].strip(): [text.strip() for text in row[1:]] for row in rows}
     if _LABVIEW_HEADER_END not in properties or "Y_Unit_Label" not in properties:
         return []
@@ -279,7 +279,7 @@ def _rank_separators(line: str) -> list[str]:
 
 
 def _scan_lines(text: CsvText) -> None:
-    """Check the number of fields of each line of readings; detect decimal commas."""
+    """Detect decimal commas, find the rows of readings, and raise InputError for a wrong number of fields."""
     separator, expected, blank_bytes = text.separator.encode(), len(text.header), text.blank_bytes
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
@@ -289,14 +289,14 @@ def _scan_lines(text: CsvText) -> None:
     for row, line in enumerate(text.rows(), text.first_row):
         if b'"' in line:
             decoded, cure = line.decode(), "; a field cannot contain a line break"
-            fields = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
+            field_count = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
         elif line.strip(blank_bytes):
-            fields = line.count(separator) + 1
+            field_count = line.count(separator) + 1
         else:
             blank_rows.append(row)
             continue
-        if fields != expected and len(ragged_rows) < MAX_INVALID_ROWS:
-            ragged_rows.append((row, line.decode().strip()[:80], fields))
+        if field_count != expected and len(ragged_rows) < MAX_INVALID_ROWS:
+            ragged_rows.append((row, line.decode().strip()[:80], field_count))
     if ragged_rows:
         _refuse_ragged_rows(text, ragged_rows)
     text.reading_rows = np.setdiff1d(np.arange(text.first_row, row + 1), blank_rows)
@@ -305,19 +305,19 @@ def _scan_lines(text: CsvText) -> None:
 def _refuse_ragged_rows(text: CsvText, ragged_rows: Sequence[tuple[int, str, int]]) -> None:
     """Raise InputError for rows (row, text, number of fields) with more or fewer fields than the header."""
     _, line, field_count = ragged_rows[0]
-    n_expected = len(text.header)
-    comma = text.separator == "," and field_count > n_expected
+    expected_count = len(text.header)
+    comma = text.separator == "," and field_count > expected_count
     cure = "If its numbers have decimal commas, export them with decimal points. " * comma
-    if any(n_expected < n for _, _, n in ragged_rows):
+    if any(expected_count < n for _, _, n in ragged_rows):
         cure += "If the first lines only describe the test, begin each with #. "
     cure += "Give every row one field for each column"
-    fault = f"has {field_count} field{'s' * (field_count != 1)}, but the header has {n_expected}: {line!r}"
+    fault = f"has {field_count} field{'s' * (field_count != 1)}, but the header has {expected_count}: {line!r}"
     places = tuple(f"row {row}" for row, _, _ in ragged_rows)
     Objections([Objection(text.file, fault, cure=cure, places=places)]).refuse()
 
 
 class _HeaderRows(NamedTuple):
-    """Indices of the first and last header row, and the names of the columns with units in brackets."""
+    """First and last header row (indices), names of the columns with units in brackets, and the separator."""
 
     first: int
     last: int
@@ -326,7 +326,7 @@ class _HeaderRows(NamedTuple):
 
 
 def _parse_header(rows: Sequence[Sequence[str]], first: int, separator: str) -> _HeaderRows | None:
-    """Return the header if it begins at `rows[first]`, else None; `rows`: the fields of each row that is not blank.
+    """Return the header if it begins at `rows[first]`, else None; `rows`: fields of each row that is not blank.
 
     Names are text; rows of readings, with as many fields and at least one number or date, follow directly or after rows
     of units. Rows of readings may end in an additional empty field.
@@ -356,7 +356,7 @@ def _parse_header(rows: Sequence[Sequence[str]], first: int, separator: str) -> 
 
 
 def _is_reading(text: str) -> bool:
-    """Return whether a field is a number or a date."""
+    """Return whether a field is a number (not a mark of a missing reading) or a date."""
     with suppress(ValueError):
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
@@ -373,7 +373,7 @@ def _are_units(row: Sequence[str], width: int) -> bool:
 
 
 def _append_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
-    """Append the units, if any, in brackets to the names."""
+    """Append units in brackets to the names that have none: `name [unit]`."""
     headers = list(names)
     for i, (name, unit) in enumerate(zip(names, map(str.strip, units), strict=False)):
         if unit[:1] + unit[-1:] in ("()", "[]", "<>", "{}"):

@@ -1,6 +1,6 @@
-"""Readers of Parquet, NetCDF, Excel and MATLAB files: numbers and text only, no code in a file is executed.
+"""Readers of Parquet, NetCDF, Excel and MATLAB files: numbers and text only; no code in a file is executed.
 
-Modules needed by one format only are imported in its function.
+A module that only one format needs is imported in its function.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from bayescal._tables.raw_table import (
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
-    """Open a Parquet file; units are in column names or the fields' metadata. Arguments as in `open_table`."""
+    """Return a Parquet file as a table, with units from column names or the fields' metadata; `file`: its name."""
     with as_format(file, "Parquet"), pq.ParquetFile(path) as parquet:
         check_width(file, parquet.metadata.num_columns)
         schema, rows = parquet.schema_arrow, parquet.metadata.num_rows
@@ -45,10 +45,10 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         values = {}
         with as_format(file, "Parquet"), pq.ParquetFile(path) as parquet:
             for position, number in requested.items():
-                name, kind = schema.names[position], schema.types[position]
+                name, arrow_type = schema.names[position], schema.types[position]
                 column = parquet.read(columns=[name]).column(name)
-                is_number = types.is_integer(kind) or types.is_floating(kind)
-                if number and (is_number or types.is_decimal(kind)):
+                is_number = types.is_integer(arrow_type) or types.is_floating(arrow_type)
+                if number and (is_number or types.is_decimal(arrow_type)):
                     values[position] = column.cast(pa.float64()).to_numpy()
                 else:
                     values[position] = column.to_pandas().to_numpy(object)
@@ -56,12 +56,12 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         return values
 
     units = ((field.metadata or {}).get(b"units") for field in schema)
-    decoded = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
-    return Table(file, tuple(map(Header.parse, schema.names, decoded)), rows, load)
+    unit_texts = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
+    return Table(file, tuple(map(Header.parse, schema.names, unit_texts)), rows, load)
 
 
 def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
-    """Open a NetCDF-4 file: variables along one dimension, units in attributes `units`. Arguments as `open_table`."""
+    """Return the variables of a NetCDF-4 file along one dimension as a table, with units from attributes `units`."""
     import h5py  # takes a tenth of a second
     import xarray as xr  # half a second
 
@@ -114,7 +114,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _sheet_to_text(sheet: Any, file: str, max_bytes: int) -> bytes:
-    """Return a sheet as text, one line of tab-separated cells per row; empty for a sheet without cells."""
+    """Return a sheet as UTF-8 text, one line of tab-separated cells per row; empty for a sheet without cells."""
     rows, count = list[list[str]](), 0
     sheet.reset_dimensions()
     for values in sheet.iter_rows(values_only=True):
@@ -127,12 +127,12 @@ def _sheet_to_text(sheet: Any, file: str, max_bytes: int) -> bytes:
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
-    """Open a MATLAB file (.mat): its columns are vectors of equal length, including fields of structures.
+    """Return the vectors of a MATLAB file (.mat), including fields of structures, as columns of a table.
 
-    The columns of a matrix `data` are called `data(:,1)` and so on. Arguments as in `open_table`.
+    The columns of a matrix `data` are called `data(:,1)` and so on. `file`: name of the file in messages.
 
     Raises:
-        InputError: the file is invalid, or has vectors of several lengths.
+        InputError: the file is invalid or too large, or has vectors of several lengths.
     """
     from scipy.io import loadmat
 
@@ -160,7 +160,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _load_hdf5_variables(path: Path, file: str) -> dict[str, Any]:
-    """Load the variables of a MATLAB 7.3 file, which stores arrays transposed, and text as character codes."""
+    """Return the variables of a MATLAB 7.3 file by name; it stores arrays transposed, and text as character codes."""
     import h5py
 
     def value(node: Any) -> Any:
@@ -178,7 +178,7 @@ def _load_hdf5_variables(path: Path, file: str) -> dict[str, Any]:
 
 
 def _split_variable(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
-    """Split a variable into named columns: a vector, the columns of a matrix, or those of a structure's fields."""
+    """Return a variable's columns with their names: a vector, a matrix's columns, or those of a structure's fields."""
     fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
     if fields is not None:
         members = {n: v for n, v in fields.items() if not n.startswith("_")}

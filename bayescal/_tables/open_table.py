@@ -1,4 +1,4 @@
-"""Opening of files as tables, in the format given by the suffix."""
+"""Opening of files as tables; the suffix determines the format."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUFFIXES = (*TEXT_SUFFIXES, ".parquet", ".nc", ".xlsx", ".mat", *LOG_SUFFIXES)
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
-    """Check files before any is opened, and return their names for messages.
+    """Check files before any is opened; return their names for messages (paths where names are equal).
 
     Raises:
         InputError: no file is given, or one twice; a file does not exist or is a folder; the total size is too large.
@@ -65,10 +65,10 @@ def open_table(
     decimal: str = "",
     channels: Collection[str] = (),
 ) -> Table:
-    """Open a file as a table of at most `max_bytes`; `decimal` as in `parse_text`; `channels`: read from a log only.
+    """Open a file, `name` in messages, as a table; `decimal` as in `parse_text`, `channels`: those to read of a log.
 
     Raises:
-        InputError: an unknown suffix, a file in another format than its suffix indicates, or an unreadable file.
+        InputError: the suffix is unknown, or the file is unreadable, above `max_bytes`, or in another format.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

@@ -1,6 +1,6 @@
-"""Raw tables, the common form of all file formats: columns with names and units from headers; and files' problems.
+"""Raw tables, the common form of all file formats (columns with names and units from headers); problems of files.
 
-Objections (problems of a file) are collected before any is reported: one as a sentence, several as a list.
+Problems (objections) are collected before any is reported: one as a sentence, several as a list.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Objections(list[Objection]):
 
     @contextmanager
     def collecting(self) -> Iterator[None]:
-        """Collect the problems of an InputError raised in the `with` block, in place of raising it."""
+        """Append the problems of an InputError raised in the `with` block, and suppress the error."""
         try:
             yield
         except InputError as error:
@@ -77,7 +77,7 @@ class Objections(list[Objection]):
 
 
 def unusable(file: str, fault: str, cure: str = "", place: str = "") -> InputError:
-    """Return an InputError about a file, or about its row `place`; `fault` and `cure` as in `Objection`."""
+    """Return an InputError about a file, or its row `place` ("row 5"); `fault` and `cure` as in `Objection`."""
     places = (place,) if place else ()
     problem = Objection(file, fault, cure=cure[:1].upper() + cure[1:], places=places)
     return InputError(str(problem), (problem,))
@@ -89,7 +89,7 @@ def option(name: str, value: str) -> str:
 
 
 def _format_problems(problems: Sequence[Objection]) -> str:
-    """Format one problem as a sentence, several as a list followed by one line of all options that resolve them."""
+    """Format one problem as a sentence, several as a list and a line of all options that resolve them."""
     if len(problems) == 1:
         return str(problems[0])
     files, groups = {p.file for p in problems if p.file}, dict[Any, list[Objection]]()
@@ -112,7 +112,7 @@ MAX_COLUMNS = 100_000  # a file with more is transposed, or is no table
 
 
 def format_bytes(size: float) -> str:
-    """Format a number of bytes: 180 bytes, 2.1 GB."""
+    """Format a number of bytes: "180 bytes", "2.1 GB"."""
     return f"{size / 1e9:.3g} GB" if size >= 1e8 else f"{size:,.0f} bytes"
 
 
@@ -124,7 +124,7 @@ def to_one_line(text: str) -> str:
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a column: the whole text (`raw`), and its parts, name and unit."""
+    """Header of a column: its text (`raw`), and the parts of it, name and unit (None if there is none)."""
 
     raw: str
     name: str
@@ -132,9 +132,9 @@ class Header:
 
     @classmethod
     def parse(cls, raw: str, unit: str | None = None) -> Header:
-        """Parse a header `name [unit]`; `unit` is used if the text has none.
+        """Parse a header `name [unit]`; `unit` applies if the text has none.
 
-        Line breaks and invisible characters are replaced by spaces.
+        Line breaks and control characters are replaced by spaces.
         """
         raw = to_one_line(raw)
         name, bracket, unit_text = raw.rpartition("[")
@@ -148,21 +148,21 @@ BRACKETS = [
     re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
     for a, b in ("()", "[]", "{}", "<>")
 ]
-_BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
-_BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
-_BEHIND_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
+_UNIT_AFTER_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
+_UNIT_AFTER_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
+_UNIT_AFTER_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
 # Texts that begin no unit, as in "Thermo 1 (°F)"; 1/K is a unit.
 _NO_UNIT = re.compile(r"[(\[{<]|\d+(?![\d/])")
 
 
 @lru_cache(maxsize=4096)  # one header is compared with many columns
 def list_splits(header: Header) -> tuple[Header, ...]:
-    """Return all possible splits of a header into a name and the text of a unit, if any; the simplest first."""
+    """Return all possible splits of a header into name and unit, first the header itself if it has no unit."""
     if header.unit:
         return (header,)
     splits = [header]
     prefix, suffix = header.raw[:-UNIT_SEARCH_CHARACTERS], header.raw[-UNIT_SEARCH_CHARACTERS:]
-    for pattern in (*BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA, _BEHIND_IN):
+    for pattern in (*BRACKETS, _UNIT_AFTER_SLASH, _UNIT_AFTER_COMMA, _UNIT_AFTER_IN):
         if match := pattern.fullmatch(suffix):
             unit = match[2].strip()
             unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit.removeprefix("in ")
@@ -175,7 +175,7 @@ def list_splits(header: Header) -> tuple[Header, ...]:
 
 
 def find_header(headers: Sequence[Header], name: str) -> int | None:
-    """Return the position of the only header whose text, or else whose name, is `name`; None without such a header."""
+    """Return the position of the only header whose text, name or split name is `name`; None without such a header."""
     names_by_rule = [({h.raw}, {h.name}, {r.name for r in list_splits(h)}) for h in headers]
     for names in zip(*names_by_rule, strict=True):
         positions = [i for i, header_names in enumerate(names) if name in header_names]
@@ -192,11 +192,11 @@ class Table:
         file: name for messages.
         headers: headers of the columns, in order.
         rows: number of readings.
-        load: function that loads columns: {position: whether numeric} → {position: values or text}.
+        load: function that loads columns: {position: whether numeric} → {position: values or texts (n,)}.
         decimal: decimal mark of numbers in text.
         sha256: SHA-256 of the file's bytes; "" for arrays.
         place: index of a reading → its row label, "row 12".
-        notes: notes about unusual formats, one sentence each.
+        notes: sentences about an unusual layout of the file.
     """
 
     file: str
@@ -245,13 +245,13 @@ class Table:
         *,
         rows: Sequence[int] | np.ndarray = (),
     ) -> Objection:
-        """Return an objection to a column, given by its header, or to its readings `rows`."""
+        """Return an objection to a column, or to its readings `rows` (indices); other arguments as in `Objection`."""
         indices = tuple(int(row) for row in rows)
         places = tuple(map(self.place, indices[:_MAX_ROW_LABELS]))
         return Objection(self.file, fault, expected, cure, option, column, indices, places)
 
     def take(self, rows: np.ndarray) -> Table:
-        """Return a table of the rows with these indices."""
+        """Return a table of the readings with the indices `rows`, in this order."""
 
         def load(requested: Mapping[int, bool]) -> dict[int, np.ndarray]:
             return {position: values[rows] for position, values in self.load(requested).items()}
@@ -263,7 +263,7 @@ class Table:
 
 
 def load_whole(table: Table, requested: Mapping[int, bool]) -> dict[int, Cells]:
-    """Load columns (position → whether numeric); raise InputError if a column has a wrong number of rows."""
+    """Return cells of columns by position, given whether each is numeric; InputError: a wrong number of rows."""
     columns = table.load(requested)
     for position, values in columns.items():
         if (count := len(values)) != table.rows:
@@ -275,7 +275,7 @@ def load_whole(table: Table, requested: Mapping[int, bool]) -> dict[int, Cells]:
 
 
 def check_width(file: str, columns: int) -> None:
-    """Raise InputError for a table of too many columns, before their names are parsed."""
+    """Raise InputError for a table of more than `MAX_COLUMNS` columns, before their names are parsed."""
     if columns > MAX_COLUMNS:
         fault = f"has {columns:,} columns, more than the maximum of {MAX_COLUMNS:,}"
         cure = "Is the table transposed? Write one row for each reading"
@@ -283,7 +283,7 @@ def check_width(file: str, columns: int) -> None:
 
 
 def check_size(file: str, rows: int, columns: int, max_bytes: int) -> None:
-    """Raise InputError for a table that is too wide, or takes too much memory."""
+    """Raise InputError for a table of too many columns, or of more than `max_bytes` as float64."""
     check_width(file, columns)
     if (size := 8 * rows * columns) > max_bytes:
         fault = f"contains {rows} rows of {columns} columns, {format_bytes(size)} in memory"
@@ -293,7 +293,7 @@ def check_size(file: str, rows: int, columns: int, max_bytes: int) -> None:
 
 @contextmanager
 def as_format(file: str, name: str) -> Iterator[None]:
-    """Convert exceptions that a library raises in the `with` block, as for a damaged file, to an InputError."""
+    """Convert exceptions that a library raises in the `with` block to an InputError: not of the format `name`."""
     try:
         yield
     except InputError:

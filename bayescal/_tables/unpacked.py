@@ -25,7 +25,7 @@ _CSV_ADVICE = "Save the readings as CSV"
 
 
 def refuse_unpacked(file_name: str, packed: int, unpacked: int, limit: tuple[float, float]) -> None:
-    """Raise InputError if the unpacked size of a file exceeds the limits of its format."""
+    """Raise InputError if the unpacked size of a file, bytes, exceeds the `limit` of its format."""
     max_ratio, min_bytes = limit
     if unpacked > max(min_bytes, max_ratio * packed):
         fault = (
@@ -68,7 +68,7 @@ _MAX_CONTAINERS = 2000  # in a file, since some thousands exhaust the stack of t
 
 def refuse_matlab(path: Path, file_name: str) -> None:
     """Raise InputError if a MATLAB file up to 7.2 is too large when unpacked, or has too many containers."""
-    size, total_size, containers = path.stat().st_size, 0, 0
+    size, total_size, container_count = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
         header = handle.read(128)
         if 0 in header[:4]:  # version 4: uncompressed matrices
@@ -88,12 +88,12 @@ def refuse_matlab(path: Path, file_name: str) -> None:
                 total_size += len(data)
                 refuse_unpacked(file_name, size, total_size, ARRAYS)
             for match in flags.finditer(data):
-                containers += 1
+                container_count += 1
                 count = 1
                 if data[match.end() - 1] < _FUNCTION:  # others have no dimensions
                     (size_bytes,) = struct.unpack_from(f"{order}I", data, match.start() + 20)
                     layout = f"{order}{size_bytes // 4}i"
                     count = math.prod(struct.unpack_from(layout, data, match.start() + 24))
-                if containers > _MAX_CONTAINERS or 8 * count > len(data):
+                if container_count > _MAX_CONTAINERS or 8 * count > len(data):
                     fault = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
                     raise unusable(file_name, fault, _CSV_ADVICE)

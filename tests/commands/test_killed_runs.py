@@ -15,7 +15,7 @@ import pytest
 
 import bayescal as bc
 from tests.support.command_line import needs_installation
-from tests.support.inside import files_of, refuse_mixed
+from tests.support.inside import read_hashes, refuse_mixed
 
 pytestmark = [
     pytest.mark.nightly,
@@ -57,7 +57,7 @@ def state(place: Path) -> tuple[set[str], set[str]] | str:
         refuse_mixed(place)
     except bc.InputError:
         return "mixed"
-    names = {n for n in files_of(place) if (place / n).is_file()}
+    names = {n for n in read_hashes(place) if (place / n).is_file()}
     return names, {(place / n).read_text() for n in names}
 
 

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import bayescal as bc
-from tests.support.inside import MANIFEST, files_of, refuse_mixed
+from tests.support.inside import MANIFEST, read_hashes, refuse_mixed
 from tests.support.reported import HIDDEN, trail
 
 UNIT = re.compile(r"\[[^\[\]]+\]")
@@ -66,10 +66,10 @@ def results_of(folder: Path) -> set[str]:
     refuse_mixed(folder)
     assert bc.load(folder / "calibration.nc").model.names == trail().final.calibration.model.names
     assert {p.name for p in folder.iterdir() if p.suffix != ".partial"} == {
-        *files_of(folder),
+        *read_hashes(folder),
         MANIFEST,
     }
-    return set(files_of(folder))
+    return set(read_hashes(folder))
 
 
 def test_a_saved_search_keeps_its_result_where_its_picture_fails(tmp_path, monkeypatch) -> None:

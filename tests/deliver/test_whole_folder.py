@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal.workshop import MANIFEST, files_of, whole_folder
+from bayescal.workshop import MANIFEST, read_hashes, replace_folder
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run
 from tests.support.inside import identity_of, refuse_mixed
@@ -53,7 +53,7 @@ def state(folder: Path) -> dict[str, bytes]:
 
 
 def write(folder: Path, text: str) -> None:
-    with whole_folder(folder) as hidden:
+    with replace_folder(folder) as hidden:
         for name in ("a.json", "b.json"):
             (hidden / name).write_text(text)
 
@@ -88,7 +88,7 @@ def test_what_else_stands_in_the_folder_stays(folder, other) -> None:
     assert os.readlink(folder / "link") == "notes.txt"
     assert (folder / "notes.txt").stat().st_ino == node
     assert folder.stat().st_mode & 0o777 == 0o750
-    assert files_of(folder)
+    assert read_hashes(folder)
     refuse_mixed(folder)
     assert [p.name for p in folder.parent.iterdir()] == ["result"]
 
@@ -119,7 +119,7 @@ def test_files_of_two_runs_are_refused(folder, other, tmp_path) -> None:
 )
 def test_a_damaged_manifest_is_refused_until_another_is_written(text, tmp_path) -> None:
     (tmp_path / MANIFEST).write_text(text)
-    for asks in (refuse_mixed, files_of):
+    for asks in (refuse_mixed, read_hashes):
         with pytest.raises(bc.InputError):
             asks(tmp_path)
     write(tmp_path, "1")
@@ -133,7 +133,7 @@ def test_a_failure_leaves_the_folder_as_it_was(folder) -> None:
         (hidden / "result.json").write_text("half")
         raise RuntimeError("midway")
 
-    with pytest.raises(RuntimeError, match="midway"), whole_folder(folder) as hidden:
+    with pytest.raises(RuntimeError, match="midway"), replace_folder(folder) as hidden:
         midway(hidden)
     assert state(folder) == before
     assert os.listdir(folder.parent) == ["result"]

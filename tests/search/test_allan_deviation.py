@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from tests.support.inside import EvenRuns, allan_variances, degrees_of_freedom
+from tests.support.inside import EvenRuns, allan_variances, compute_edf
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
 # deviations at one and two readings, and at 1, 10 and 100.
@@ -54,7 +54,7 @@ def test_the_estimator_gives_the_published_deviations(data, published) -> None:
 @pytest.mark.parametrize("readings", [30, 110, 331, 10_000])
 def test_degrees_of_freedom_are_those_of_allantools(kind: int, readings: int) -> None:
     runs = EvenRuns((np.arange(readings),), 1.0)
-    found = degrees_of_freedom(runs, np.full(len(runs.factors), kind))
+    found = compute_edf(runs, np.full(len(runs.factors), kind))
     theirs = [
         allantools.edf_greenhall(kind, 2, int(m), readings + 1, overlapping=True)
         for m in runs.factors

@@ -34,7 +34,6 @@ from bayescal._core.json_data import validate as validate
 from bayescal._core.quoting import to_identifier as to_identifier
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import allan_variances as allan_variances
-from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
 from bayescal._data.column import find_overloads
 from bayescal._data.set_aside import flag_fitted_holdout
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
@@ -61,9 +60,7 @@ from bayescal._use.compensate_file import compensate_file as compensate_file
 from bayescal._use.compensation_program import CompensationProgram as CompensationProgram
 from bayescal.workshop import MANIFEST as MANIFEST
 from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
-from bayescal.workshop import files_of as files_of
 from bayescal.workshop import format_value as format_value
-from bayescal.workshop import whole_folder as whole_folder
 
 identity_of = identity  # SHA-256 by which every artefact names a calibration
 result_of = result  # what `save` of a search writes as result.json, nothing drawn

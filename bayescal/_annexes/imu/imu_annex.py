@@ -30,7 +30,7 @@ class Triad(NamedTuple):
     def __str__(self) -> str:
         """Format the search path, the coefficients, and the correction."""
         path = self.search_path
-        text = f"{FIT_CAPTION}\n{ws.coefficients_text(path)}\nverdict: {path.gate}"
+        text = f"{FIT_CAPTION}\n{ws.format_coefficients(path)}\nverdict: {path.gate}"
         caption = USE_CAPTION.format(path.calibration.form_factor)
         return f"{path}\n\n{text}\n\n{caption}\n{self.correction}"
 
@@ -76,11 +76,11 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         """Write the results and figures of triads, by subfolder, to `folder`, if any; return the command's answer."""
         is_drawn = True
         if folder is not None:
-            with ws.whole_folder(folder) as staging:
+            with ws.replace_folder(folder) as staging:
                 _write_results(triads, staging, self.name)
             is_drawn = _draw_results(triads, folder)
             for subfolder in dict.fromkeys((*triads, "")) if not self.json_ else ():
-                names = (*ws.files_of(folder / subfolder), ws.MANIFEST)
+                names = (*ws.read_hashes(folder / subfolder), ws.MANIFEST)
                 print(f"written: {folder / subfolder}/{', '.join(names)}")
         paths = [triad.search_path for triad in triads.values()]
         reason = next((path.gate.reason for path in paths if not path.ok), "")
@@ -178,7 +178,7 @@ def _draw_results(triads: Mapping[str, Triad], folder: Path) -> bool:
     outcomes = [ws.draw_safely(ws.draw_search, paths, folder)]
 
     def draw_reports() -> None:
-        with ws.drawing(REPORT), ws.whole_folder(folder, keep_results=True) as staging:
+        with ws.guard_drawing(REPORT), ws.replace_folder(folder, keep_results=True) as staging:
             for subfolder, chapters in {**paths, "": [*paths.values()]}.items():
                 (staging / subfolder).mkdir(exist_ok=True)
                 outcomes.append(ws.draw_safely(bc.report, chapters, staging / subfolder / REPORT))
