@@ -64,7 +64,7 @@ from bayescal._report.whole_folder import (
 )
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
-"""Group of entry points `select(calibration, criterion=…)`: each returns a printable table with `to_json_data()`."""
+"""Group of entry points: functions `select(calibration, criterion=…)` that return a printable table."""
 SIMULATED = (
     "simulated: bias.constant 21.5 °/s, bias.temperature 0.0535 °/s/°C, noise.white 0.05 °/s, bias.thermal_lag 0.05 "
     "°/s/°C with tau 300 s: the bias is 0.05·300/0.0535 = 280 s late, which is tau in forms where the sensor lags"
@@ -493,8 +493,8 @@ class CompensateCommand(ColumnOptions, MemberOptions, AsJson, Command):
         )
         flags = (flag for flag in result.flags if getattr(flag, "code", "") != "rows.dropped")
         print_notes((*correction.notes, *flags, *extrapolations))
-        added = f"columns {' and '.join(result.columns)} [{correction.unit}] added"
-        text = f"{self.out}: {result.rows} readings, {added}"
+        added_text = f"columns {' and '.join(result.columns)} [{correction.unit}] added"
+        text = f"{self.out}: {result.rows} readings, {added_text}"
         text += f"; {result.missing} rows are empty: readings are missing" * bool(result.missing)
         text += f"\n{result.columns[1]}: k = 1, with{'out' * self.without_noise} the noise of one reading"
         data = {"file": str(self.out), "rows": result.rows, "columns": list(result.columns)}
@@ -550,7 +550,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
             raise InputError(f"give one calibration to export, not {count}; {advice}")
 
     def refuse_unused(self, *options: str, subject: str = "") -> None:
-        """Raise InputError if one of these options, which the export (of `subject`) does not use, was given."""
+        """Raise InputError if an option that the export does not use was given; `subject` qualifies the export."""
         for option in (f"--{o.replace('_', '-')}" for o in options if getattr(self, o)):
             export = f"--format {self.format_}" if self.format_ else f"--out {self.out}"
             raise InputError(f"{export}{subject} does not use {option}: leave it out")
@@ -563,7 +563,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         return self.local_gravity or STANDARD_GRAVITY
 
     def load_corrections(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
-        """Load corrections with their paths; raise InputError if those of one output and of three axes are mixed."""
+        """Load corrections with their paths; raise InputError if some have one output and others three axes."""
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
         one_output = [path for path, c in corrections if isinstance(c, bc.Compensator)]
         if 0 < len(one_output) < len(corrections):
@@ -573,7 +573,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         return corrections
 
     def write_corrections(self, corrections: Sequence[Any]) -> Answer:
-        """Write corrections to one file, or return their text; print notes on parts that the format omits."""
+        """Write corrections to one file, or answer with their text; print notes on what the format omits."""
         from bayescal._use import correction_files as files
 
         programs = [getattr(correction, "program", correction) for correction in corrections]

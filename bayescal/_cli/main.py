@@ -1,4 +1,4 @@
-"""The command line.
+"""Entry point of the command line.
 
 Exit status: 0: success; 1: not converged, acceptance checks failed, or a figure could not be drawn (results are
 written); 2: invalid input, with a sentence or a list of problems on stderr, and nothing written. Ctrl-C ends with the
@@ -31,7 +31,7 @@ from bayescal._search.own_files import find_file_line, format_error
 
 # New objects between two garbage collections; collecting a million takes a quarter of a second. With Python's default
 # of 700 there are thirty collections while modules load.
-COLLECTION_OBJECTS = 1_000_000
+GC_THRESHOLD_OBJECTS = 1_000_000
 # Placeholder of an option's value in the help, by type.
 METAVARS = {"Path": "FILE", "float": "NUMBER", "int": "INTEGER", "str": "TEXT", "Texts": "TEXT"}
 INTERRUPTED = 130  # exit status 128 + SIGINT, by the convention of shells
@@ -83,7 +83,7 @@ def run_command() -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for encodings without ° or µ
     ignore_local_configuration()
-    gc.set_threshold(COLLECTION_OBJECTS)
+    gc.set_threshold(GC_THRESHOLD_OBJECTS)
     try:
         name = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
         outcome = build_application(name)(standalone_mode=False, prog_name="bayescal")
@@ -106,7 +106,7 @@ def run_command() -> int:
 
 
 def _format_user_error(error: BaseException) -> str:
-    """Return the message for an error that the user can resolve; re-raise any other error."""
+    """Return the message for an error that the user can resolve; raise any other error again."""
     is_memory = isinstance(error, MemoryError) or OUT_OF_MEMORY.search(str(error))
     if is_memory or getattr(error, "errno", None) == errno.ENOMEM:
         return "out of memory: average the readings (--average), or provide more memory"
@@ -124,7 +124,7 @@ def _format_user_error(error: BaseException) -> str:
 
 
 def _report_failure(message: str, status: int, is_list: bool = False) -> int:
-    """Print a message on stderr, on one line unless it `is_list`, and return the exit status."""
+    """Print a message on stderr, on one line unless it `is_list`, and return `status`."""
     with contextlib.suppress(OSError):  # stderr may be closed
         text = message if is_list else " ".join(message.split())
         text = "\n".join(map(to_printable, text.split("\n")))  # escapes control characters

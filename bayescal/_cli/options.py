@@ -1,4 +1,4 @@
-"""Base classes of commands (data classes of their options), their answers, and groups of shared options.
+"""Base classes of commands, which are data classes of their options; their answers; groups of shared options.
 
 Typer treats a data class as a function. Annotations are not postponed here, since typer would resolve their names in
 the module of the command. This module has few imports, since `bayescal --help` loads it.
@@ -30,7 +30,7 @@ Texts = list[str] | None
 
 
 def parse_values(texts: Texts, option: str) -> dict[str, list[str]]:
-    """Parse name=value options to the list of values of each name; raise InputError for a malformed option."""
+    """Parse name=value options to name → list of values; raise InputError for a malformed option."""
     values = dict[str, list[str]]()
     for text in texts or []:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -42,7 +42,7 @@ def parse_values(texts: Texts, option: str) -> dict[str, list[str]]:
 
 
 def parse_pairs(pairs: Texts, option: str) -> dict[str, str]:
-    """Parse name=value options to a dictionary; raise InputError for a name with several values."""
+    """Parse name=value options to name → value; raise InputError for a name with several values."""
     values_by_name = parse_values(pairs, option)
     for name, values in values_by_name.items():
         if len(values) > 1:
@@ -51,7 +51,7 @@ def parse_pairs(pairs: Texts, option: str) -> dict[str, str]:
 
 
 def parse_numbers(pairs: Texts, option: str) -> dict[str, float]:
-    """Parse name=number options to a dictionary; raise InputError if a value is not a finite number."""
+    """Parse name=number options to name → number; raise InputError if a value is not a finite number."""
     numbers = {}
     for name, value in parse_pairs(pairs, option).items():
         try:
@@ -74,7 +74,7 @@ def split_optional(text: str | None) -> list[str] | None:
 
 
 def parse_channels(texts: str | None) -> list[str]:
-    """Split the names of --channels; raise InputError for a single name or duplicates."""
+    """Split the names of --channels, [] for None; raise InputError for a single name or duplicates."""
     names = split_names(texts)
     if texts is not None and (len(names) < 2 or len(set(names)) < len(names)):
         message = f"--channels {texts!r}: give two or more different names, such as gyro_x,gyro_y"
@@ -102,7 +102,7 @@ class Options:
     """Options of a command, as fields of a data class whose defaults are typer's option objects."""
 
     def __init_subclass__(cls) -> None:
-        """Convert a command to a data class: its own options first, then those of its base classes."""
+        """Convert a command class to a data class: its own options first, then those of its base classes."""
         if hasattr(cls, "answer"):
             pairs = [p for base in cls.__mro__ for p in inspect.get_annotations(base).items()]
             types = {**dict(pairs), **dict(reversed(pairs))}  # own options first and overriding
@@ -151,7 +151,7 @@ class Answer:
 
 
 def draw_safely(draw: Callable[..., Any], *arguments: Any) -> bool:
-    """Call a function that draws; return whether all figures were drawn, and print a note if it raised NotDrawn."""
+    """Call a function that draws; return whether all figures were drawn; print a note if it raises NotDrawn."""
     try:
         draw(*arguments)
     except NotDrawn as error:
@@ -194,7 +194,7 @@ class Command(Options):
 
 
 def _files_in(value: Any) -> Iterator[Path]:
-    """Yield the files to which a value may refer: a path, a result folder, gyro_x=a.nc, my.py:INSTRUMENT."""
+    """Yield the files that a value may name: a path, those of a result folder, gyro_x=a.nc, my.py:INSTRUMENT."""
     for item in value if isinstance(value, list) else [value]:
         names = (str(item).rpartition("=")[2], str(item).rpartition(":")[0])
         for path in (item,) if isinstance(item, Path) else (Path(name) for name in names if name):
@@ -208,9 +208,9 @@ class AsJson(Options):
     json_: bool = Option(False, help="Print the result as JSON on stdout.")
 
 
-def opt(help: str, default: Any = None, *names: str, **how: Any) -> Any:
-    """Return a typer option as the default of a field, named after the field or by `names`."""
-    return Option(default, *names, help=help, **how)
+def opt(help: str, default: Any = None, *names: str, **settings: Any) -> Any:
+    """Return a typer option as the default of a field; `names`: its names, by default that of the field."""
+    return Option(default, *names, help=help, **settings)
 
 
 class Shared:

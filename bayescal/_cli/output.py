@@ -20,17 +20,17 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import result
-from bayescal._report.save_search import convert_channels
+from bayescal._report.save_search import channels_data
 from bayescal._search.calibrate_channels import Channels
 from bayescal._search.search_path import SearchPath, Step
 
 SOURCES = 'sources (numbered in docs/sources.md; "ours": estimated by the authors of bayescal)'
 MAX_STRUCTURES = 2  # structures of a model average that are printed without --verbose
-MAX_CHECKS = 3  # covariates in the printed residual checks of the first model, the same
+MAX_CHECKS = 3  # covariates in the residual checks of the first model, without --verbose
 
 
 def format_instruments(instruments: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
-    """Format the installed instruments as text, and as data for JSON."""
+    """Return the list of installed instruments as text and as data for JSON."""
     items = instruments.items()
     data = {n: {**_describe(i), "columns": [c.name for c in i.columns]} for n, i in items}
     rows = [[name, unit_label(about["unit"]), about["title"]] for name, about in data.items()]
@@ -42,7 +42,7 @@ def _describe(instrument: Instrument) -> dict[str, Any]:
 
 
 def format_instrument(instrument: Instrument) -> tuple[str, dict[str, Any]]:
-    """Format the columns and effects of an instrument as text, and as data for JSON."""
+    """Return the columns and effects of an instrument as text and as data for JSON."""
     columns, rows = [], []
     for c in instrument.columns:
         is_needed = c.required and c.default is None
@@ -64,7 +64,7 @@ def format_instrument(instrument: Instrument) -> tuple[str, dict[str, Any]]:
 
 
 def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dict[str, Any]]]:
-    """Format effects as text (a table per kind, such as "baseline", and sources), and as data for JSON."""
+    """Return effects as text (a table for each kind, such as "baseline", then sources) and as data for JSON."""
     data, parts, by_source = [], [], dict[str, list[str]]()
     for kind, effects in kinds.items():
         rows = []
@@ -132,16 +132,16 @@ class ConsoleReporter:
                 self._printed[name] = state
 
 
-def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> Any:
-    """Format the output of `calibrate` as data for JSON, or as text."""
+def format_search(search: SearchPath | Channels, as_data: bool, **options: Any) -> Any:
+    """Return the output of `calibrate` as data for JSON (`as_data`) or as text; `options` as in `format_loop`."""
     if isinstance(search, SearchPath):
-        return result(search) if as_data else format_loop(search, **how)
+        return result(search) if as_data else format_loop(search, **options)
     texts = (wrap(f"{name}: {path.in_short}") for name, path in search.search_paths.items())
-    return convert_channels(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
+    return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
 def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False) -> str:
-    """Format the output of `calibrate`, from the first model to the last.
+    """Format the output of `calibrate` for one output, from the first model to the last.
 
     Args:
         path: result of the search.
@@ -168,14 +168,14 @@ def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False
 
 
 def format_coefficients(path: SearchPath, verbose: bool = False) -> str:
-    """Format the coefficients of the model average; if verbose, also those that the most probable structure lacks."""
+    """Format the coefficients of the model average; unless `verbose`, without effects that the last model lacks."""
     final = path.final.calibration
     tables = list_unknowns(path.calibration, None if verbose else final.model.names)
     return "\n".join([*map(str, tables), final.remarks])
 
 
 def format_average(path: SearchPath, verbose: bool = False) -> str:
-    """Format the structures of a model average with their probabilities; return "" without an average."""
+    """Format the structures of a model average with their probabilities; "" without an average."""
     if path.average is None:
         return ""
     shares = [(" + ".join(s.effects) or "nothing added", s.probability) for s in path.shares]
@@ -199,7 +199,7 @@ def _explain_not_tested(step: Step) -> str:
 
 
 def _format_missing(path: SearchPath) -> list[str]:
-    """Format the effects missing at each step, except those that a step added, and questions about units."""
+    """Return lines on the effects missing at each step, except those added later, and on doubtful units."""
     lines, questions = list[str](), dict[Claim, None]()
     model, threshold = path.final.calibration.model, settings().found_probability
     added_alone = {
@@ -217,7 +217,7 @@ def _format_missing(path: SearchPath) -> list[str]:
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """Write readings with the columns predicted, predicted_standard_uncertainty and residual."""
+    """Write readings and the columns predicted, predicted_standard_uncertainty and residual to a .csv file."""
     p = prediction
     columns = {"predicted": p.mean, "predicted_standard_uncertainty": p.sd, "residual": p.residual}
     for name, values in columns.items():

@@ -1,4 +1,4 @@
-"""Loading of what command-line options request: instrument, model, readings, method, calibrations, corrections.
+"""Loading of the instrument, model, readings, method, calibrations and corrections that options request.
 
 Invalid files are refused before JAX loads; samplers and other heavy modules load with the first calibration.
 """
@@ -54,7 +54,7 @@ def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]
 def open_channels(
     names: Sequence[str], request: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
-    """Return the instrument, and for each channel ("" if single) its readings and a model adapted to them."""
+    """Return the instrument, and by channel ("" if single) a model adapted to the readings, and the readings."""
     instrument = instrument_named(request.instrument)
     readings = _read(request.files, instrument, request, names)
     for record in readings.values():
@@ -85,7 +85,7 @@ def load_effects(
 def _read(
     files: Sequence[Path], kind: Any, request: ReadRequest, names: Sequence[str], **options: Any
 ) -> dict[str, Measurements]:
-    """Read files as readings of one output (name "") or of the channels `names`; average them if requested."""
+    """Read files as readings of one output (key "") or of the channels `names`; average them if requested."""
     options |= {"outputs": list(names)} if names else {}
     with track("reading"):
         readings: Any = bc.read(list(files), kind, **request.read_options(), **options)
@@ -96,7 +96,7 @@ def _read(
 def average_readings(
     readings: Measurements, average: str | None, keep_spikes: bool = False
 ) -> Measurements:
-    """Return means over the time `average` without clipped readings and spikes; if None, the readings unchanged."""
+    """Return means over the time `average`, without clipped readings and, unless kept, spikes; None: no averaging."""
     if average is None:
         return readings
     from bayescal._data.set_aside import set_aside
@@ -140,7 +140,7 @@ def find_noise_law(name: str, model: Model, readings: Measurements) -> Noise:
 
 
 def create_method(name: MethodName) -> Method:
-    """Return the method of inference that a command-line name stands for, with default settings."""
+    """Return the method of inference of a name on the command line, with default settings."""
     return {"marginal": bc.Marginal, "least-squares": bc.LeastSquares, "nuts": bc.NUTS}[name]()
 
 
@@ -170,7 +170,7 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
 
 
 def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
-    """Split the readings of channels by device and by axis."""
+    """Split the readings of channels by device and axis: "name, device A17" → readings."""
     from bayescal._data.header_matching import PREFIXES, normalise
     from bayescal._data.unit_conversion import is_convertible
 
@@ -195,12 +195,12 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
 
 
 def describe_reliability(corrections: Mapping[str, bc.Compensator | CorrectionInUse]) -> str:
-    """Return why corrections, by name, are not fit for use; empty if all are."""
+    """Return why corrections, given by name, are not fit for use; "" if all are."""
     return "; ".join(f"{name} {c.why_not}".strip() for name, c in corrections.items() if c.why_not)
 
 
 def _load_user_parts(parts: DefinitionOptions) -> dict[str, Any]:
-    """Load user-defined effects and instrument as keyword arguments of `bc.load`."""
+    """Load the user-defined effects and instrument, and return them as keyword arguments of `bc.load`."""
     instruments = (instrument_named(file),) if (file := parts.instrument_file) else ()
     return {"effects": load_user_effects(parts.effects_file), "instruments": instruments}
 
@@ -238,7 +238,7 @@ def load_compensator(path: Path, user: MemberOptions) -> bc.Compensator:
 
 
 def load_correction(path: Path, user: MemberOptions) -> bc.Compensator | CorrectionInUse:
-    """Load the correction of a saved calibration with one output or three axes."""
+    """Load the correction of a saved calibration: a compensator, or a correction of three axes."""
     calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=user.members)
@@ -246,7 +246,7 @@ def load_correction(path: Path, user: MemberOptions) -> bc.Compensator | Correct
 
 
 def expand_channels(paths: list[Path], file: str = "") -> list[Path]:
-    """Return paths, where each folder of several channels is replaced by its subfolders, or by `file` in each."""
+    """Return paths, with each folder of several channels replaced by its subfolders, or by `file` in each."""
     folders: list[Path] = []
     for path in paths:
         is_unit = (path / CHANNELS).is_file()
@@ -255,7 +255,7 @@ def expand_channels(paths: list[Path], file: str = "") -> list[Path]:
 
 
 def load_chapters(paths: list[Path], user: DefinitionOptions) -> list[Chapter]:
-    """Load the chapters of a report, from saved calibrations and result folders."""
+    """Build the chapters of a report from saved calibrations and result folders."""
     from bayescal._report.result_json import chapters, read_chapter
 
     parts, files = _load_user_parts(user), expand_channels(paths)

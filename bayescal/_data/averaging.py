@@ -65,7 +65,7 @@ def find_steps(values: np.ndarray, is_next: np.ndarray) -> np.ndarray:
     return is_step & (np.count_nonzero(is_step) <= MAX_STEPS_SHARE * values.size)
 
 
-def take_means(rows: np.ndarray, starts: np.ndarray) -> np.ndarray:
+def average(rows: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Return the means (m, …) of segments of `rows` (n, …) that begin at `starts`; exact for constant segments."""
     counts, first_rows = np.diff(starts, append=len(rows)), rows[starts]
     deviations = np.add.reduceat(rows - np.repeat(first_rows, counts, axis=0), starts, axis=0)

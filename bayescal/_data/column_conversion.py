@@ -51,7 +51,7 @@ def convert_columns(
 ) -> ConvertedColumns:
     """Convert a file's columns to the instrument's units: the columns that it declares in their order, then others.
 
-    Rows with a missing reading are dropped if the options request it. Raises InputError with all problems of the file.
+    Rows with a missing reading are dropped if the options request it. An InputError lists all problems of the file.
     """
     problems = Objections()
     file = MatchedFile(table, instrument, options, problems)
@@ -96,7 +96,7 @@ def _load_cells(file: MatchedFile) -> dict[str, Cells]:
 
 
 def _convert_column(reader: ColumnReader, cells: Cells) -> None:
-    """Convert a column; ignore, with a flag, an undeclared one with a cell that is not a number."""
+    """Convert a column; if it is undeclared and has a cell that is not a number, ignore it with a flag."""
     reader.read(cells)
     if reader.is_declared or not reader.problems:
         reader.file.problems += reader.problems
@@ -109,7 +109,7 @@ def _convert_column(reader: ColumnReader, cells: Cells) -> None:
 
 
 def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
-    """Mark and flag readings converted with an assumed local gravity, if scale factors depend on it."""
+    """Add the column `ASSUMED_GRAVITY` and a flag if outputs were converted with an assumed local gravity."""
     outputs = getattr(file.instrument, "outputs", ()) or (output_name(file.instrument),)
     is_assumed = file.options.local_gravity is None and converted.by_gravity.intersection(outputs)
     if is_assumed and ASSUMED_GRAVITY in file.expected and MAGNITUDE not in converted.by_gravity:
@@ -137,7 +137,7 @@ def _note_channels(file: MatchedFile, converted: ConvertedColumns) -> None:
 
 
 def _drop_rows(table: Table, converted: ConvertedColumns) -> None:
-    """Drop the rows with a missing reading, with a flag; raise InputError if no row remains."""
+    """Drop the rows with a missing reading and flag their number; raise InputError if no row remains."""
     missing = converted.missing
     dropped_rows = np.unique(np.concatenate(list(missing.values())))
     converted.kept_rows = np.setdiff1d(np.arange(table.rows), dropped_rows)
@@ -149,7 +149,7 @@ def _drop_rows(table: Table, converted: ConvertedColumns) -> None:
 
 
 def _format_rows(table: Table, rows: np.ndarray) -> str:
-    """Format the number of rows and the first three row labels, for messages."""
+    """Format rows (indices) for messages: the label of a single one, else the number and the first three labels."""
     labels = ", ".join(table.place(int(i)) for i in rows[:3])
     return labels if len(rows) == 1 else f"{len(rows)} rows ({labels}{' …' * (len(rows) > 3)})"
 
@@ -166,7 +166,7 @@ class ColumnReader:
         self.is_output = self.name == output_name(file.instrument)
 
     def read(self, cells: Cells) -> None:
-        """Check and convert the cells of the column; ignore it, with a flag, if it is empty and not required."""
+        """Check and convert the cells of the column; if it is empty and not required, ignore it with a flag."""
         is_label = self.column.unit is None
         is_empty = cells.values == "" if is_label else np.isnan(cells.values)
         if not self.column.required and not cells.invalid_texts and is_empty.all():
@@ -215,7 +215,7 @@ class ColumnReader:
         self.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {text}")
 
     def _note_missing(self, rows: np.ndarray, fault: str, expected: str = "") -> None:
-        """Record missing readings for `missing="drop"`; otherwise, and in undeclared columns, add a problem."""
+        """Record rows to drop, of declared columns if `missing="drop"`; else add a problem (`fault`, `expected`)."""
         if self.options.missing == "refuse" or not self.is_declared:
             cure, suggestion = "Fill it in, or drop such rows", option("--missing", "drop")
             self._report(fault, expected, cure, suggestion, rows=rows)
@@ -237,7 +237,7 @@ class ColumnReader:
             self._report(f"reads {label!r}, {fault}", expected, cure, rows=rows)
 
     def _read_dates(self, texts: np.ndarray) -> Cells:
-        """Parse dates; add a problem if the order of day, month and year is ambiguous and not given."""
+        """Parse dates to s since 1970; add a problem if the order of day, month and year is ambiguous and not given."""
         dates, orders = table_cells.parse_dates(texts, self.options.date_order)
         if orders:
             fault = "has ambiguous dates: the order of day, month and year is unclear, or they are times of day"
@@ -288,7 +288,7 @@ class ColumnReader:
         self._report(f"reads {quoted}", expected, hint, rows=sorted(cells.invalid_texts))
 
     def _unwrap(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
-        """Unwrap a counter whose period the user gives; return any other column unchanged."""
+        """Unwrap the values of a counter whose period the user gives; return those of other columns unchanged."""
         periods, names = self.options.unwrap, (self.header.raw, self.header.name, self.name)
         text = next((periods[n] for n in names if n in periods), None)
         if text is None or unit is None:
@@ -344,7 +344,7 @@ class ColumnReader:
             self._report(fault, cure="If they are, unwrap them", option=suggestion)
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
-        """Convert numbers to the column's unit, directly or by the nominal scale; if impossible, add a problem."""
+        """Convert numbers to the column's unit, directly or by the nominal scale; None, with a problem, if not."""
         target, gravity = self.column.unit or "1", self.options.gravity
         given_scale, is_difference = self.options.nominal_scale, self.name == UNCERTAINTY
         scale = given_scale or self.file.instrument.nominal_scale
@@ -391,7 +391,7 @@ class ColumnReader:
     def _note_not_finite(
         self, raw: np.ndarray, values: np.ndarray, unit: str | None, noted_rows: set[int]
     ) -> None:
-        """Record empty cells as missing, and add a problem for infinite ones; a temperature point may be empty."""
+        """Record empty cells as missing; add a problem for infinite values. A temperature point may be empty."""
         expected = _describe_number(unit)
         is_invalid = np.isinf(values) if self.name == SOAK_POINT else ~np.isfinite(values)
         rows = np.setdiff1d(np.flatnonzero(is_invalid), list(noted_rows))
@@ -427,7 +427,7 @@ def _describe_number(unit: str | None) -> str:
 
 
 def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
-    """Concatenate the columns of files, with `labels` as runs; raise InputError for incompatible files."""
+    """Concatenate the columns of files, `labels` being their runs; raise InputError for incompatible files."""
     if len(parts) == 1:
         return parts[0]
     _label_runs(parts, labels)
@@ -485,14 +485,14 @@ def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Non
 def _find_first_files(
     parts: Sequence[ConvertedColumns], flags: Sequence[bool]
 ) -> tuple[str | None, str | None]:
-    """Return the name of the first file whose flag is true, and of the first whose flag is false; None without one."""
+    """Return the names of the first file whose flag is true and of the first whose flag is false; None if none is."""
     files = [part.tables[0].file for part in parts]
     first_by_flag = dict(reversed([*zip(flags, files, strict=True)]))
     return first_by_flag.get(True), first_by_flag.get(False)
 
 
 def _align_time_origins(parts: Sequence[ConvertedColumns]) -> float | None:
-    """Shift the times of dated files to a common origin, the earliest date; return that date, or None without dates."""
+    """Shift the times of dated files to the earliest origin; return it, s since 1970, or None without dates."""
     files = [part for part in parts if "time" in part.values]
     origins = [part.origin for part in files if part.origin is not None]
     if not origins:

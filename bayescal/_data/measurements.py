@@ -389,9 +389,7 @@ class Measurements(Printed):
         counts = np.diff(begins, append=time.size)
         averaging.check_averaging_time(time[order], is_next, counts, seconds, self.file)
         means = {
-            name: v[order][begins]
-            if units[name] is None
-            else averaging.take_means(v[order], begins)
+            name: v[order][begins] if units[name] is None else averaging.average(v[order], begins)
             for name, v in self.values.items()
         }
         noise = averaging.estimate_reading_noise(self.values, self.output, order, ~is_start)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal._data.averaging import take_means
+from bayescal._data.averaging import average
 from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.noise_on_record import SdWhitening, Whitening
 from bayescal._inference.problem import Problem
@@ -41,15 +41,15 @@ class Means:
         lengths = np.diff(run_starts, append=len(is_first))
         position = np.arange(len(is_first)) - np.repeat(run_starts, lengths)
         starts = np.flatnonzero(position % count == 0)
-        clock = take_means(np.cumsum(np.maximum(frame.step, 0.0)), starts)
+        clock = average(np.cumsum(np.maximum(frame.step, 0.0)), starts)
         step = np.where(frame.step[starts] < 0, -1.0, np.diff(clock, prepend=0.0))
         means = frame.reorder(starts, np.arange(len(starts)), step)
         arrays = {
-            n: {k: take_means(a, starts) for k, a in getattr(frame, n).items()}
+            n: {k: average(a, starts) for k, a in getattr(frame, n).items()}
             for n in ROW_FIELDS
             if n not in ("codes", "labels")  # constant within a block
         }
-        y = take_means(record.y[record.time_order[0]], starts)
+        y = average(record.y[record.time_order[0]], starts)
         return cls(record, Record(record.instrument, replace(means, **arrays), y), starts, count)
 
     @cached_property
@@ -60,7 +60,7 @@ class Means:
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
         """Return the mean of rows, one per reading (n, …), in each block (m, …)."""
         order = self.source.time_order[0]
-        return take_means(rows if self.source.is_time_ordered else rows[order], self.starts)
+        return average(rows if self.source.is_time_ordered else rows[order], self.starts)
 
     def within_fraction(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
         """Return the fraction of each column's variance that is within blocks (k,)."""

@@ -39,7 +39,7 @@ DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread d
 
 @contextmanager
 def use_own_style(**settings: Any) -> Iterator[None]:
-    """Apply Matplotlib's defaults and `settings` inside the block, instead of a user's configuration file.
+    """Apply Matplotlib's defaults and `settings` within the `with` block, ignoring the user's configuration file.
 
     The settings are global to the process: one thread draws at a time.
     """
@@ -48,21 +48,21 @@ def use_own_style(**settings: Any) -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that opens no window; width and height in inches."""
+    """Return an empty figure that opens no window; `width` and `height` in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def open_axes(ax: Any, width: float, height: float) -> Any:
-    """Return axes without upper and right spines: `ax`, or those of a new figure (width and height in inches)."""
+    """Return axes without upper and right spines: `ax`, or if None those of a new figure (size in inches)."""
     ax = new_figure(width, height).subplots() if ax is None else ax
     ax.spines[["top", "right"]].set_visible(False)
     return ax
 
 
 def format_label(text: str) -> str:
-    """Return text from a file as a label: shortened to `MAX_LABEL` characters, with escaped dollar signs."""
+    """Format text from a file as a label: at most `MAX_LABEL` characters, with escaped dollar signs."""
     return escape(text if len(text) <= MAX_LABEL else f"{text[: MAX_LABEL - 1]}…")
 
 
@@ -87,8 +87,8 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-MAX_PANELS = 6  # number of panels of residuals in a figure
-MIN_RASTER_READINGS = 3000  # number of readings from which points of an SVG are rasterised
+MAX_PANELS = 6  # panels of residuals in a figure
+MIN_RASTER_READINGS = 3000  # more readings are drawn as a raster image in an SVG
 MARKERS = "o^sDvx"  # markers of the runs, distinct in grey print
 DERIVED_UNITS = {"order": "row"}  # units of covariates that are no columns
 
@@ -156,9 +156,9 @@ def plot_residual_panel(
 
 
 def compute_body_temperature(calibration: Calibration, column: str) -> np.ndarray | None:
-    """Return the temperature T̃ (n,), at the mode, of the body that lags behind `column` in the model.
+    """Return the temperature T̃ (n,), °C, of the body that lags behind `column` in the model, at the posterior mode.
 
-    None is returned if the model has no such body; of several bodies, that of the last effect is used.
+    None if the model has no such body; of several bodies, that of the last effect.
     """
     hyper, values = calibration.problem.hyper(calibration.mode.v), None
     catalogue = calibration.model.instrument.known
@@ -178,12 +178,12 @@ COLOURS = {"finding": RED, "one of several": PURPLE, "lead": ORANGE, "not visibl
 
 
 def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = "") -> Figure:
-    """Plot the errors of each step of a search with their change from the step before, and the noise floor.
+    """Plot the rms errors of each step of a search, their change since the previous step, and the noise floor.
 
     Args:
         found: a search path, or its data in result.json.
         ax: axes to draw in; a new figure if None.
-        title: start of the title, which states for each kind of error whether it fell; no title if "".
+        title: start of the title, which goes on to say of each kind of error whether it fell; "" for no title.
     """
     steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     left_out, last_step = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
@@ -292,7 +292,7 @@ def loop(found: SearchPath) -> Figure:
 
 
 def allan(found: AllanDeviation) -> Figure:
-    """Plot an Allan deviation (the result of `bc.allan_deviation`) over averaging time with 95 % intervals."""
+    """Plot an Allan deviation, the result of `bc.allan_deviation`, with 95 % intervals over the averaging time."""
     ax = open_axes(None, 5.2, 3.6)
     _plot_allan(ax, found, fmt="o-", lw=1.2, label="readings")
     return _label_allan(ax, found.unit, [])
@@ -329,7 +329,7 @@ def _plot_allan(ax: Any, m: AllanDeviation, **options: Any) -> None:
 
 
 def _label_allan(ax: Any, unit: str, terms: Sequence[str]) -> Figure:
-    """Label the axes of a plotted Allan deviation (in `unit`), with noise parameters as title; return the figure."""
+    """Label the axes of an Allan deviation in `unit`, with `terms` (noise parameters) as title; return the figure."""
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlabel(format_axis("averaging time τ", "s"))

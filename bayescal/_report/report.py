@@ -43,14 +43,14 @@ MAX_RESIDUAL_PANELS = 4  # pictures of residuals in a chapter
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page, with its caption."""
+    """A figure of the page, as HTML, with its caption."""
 
     html: Markup
     caption: str  # text below the figure
 
 
 class Pictures:
-    """Figures of one page, drawn with unique ids; `failed` are the errors of those that could not be drawn."""
+    """Figures of one page, drawn with unique ids; `failed`: errors of the figures that could not be drawn."""
 
     def __init__(self) -> None:
         self.count, self.failed = 0, list[NotDrawn]()
@@ -82,13 +82,13 @@ class Pictures:
         return [self.draw(partial(panel, n), f"{text}{lag}{n}") for n, lag in lags.items()]
 
     def draw_missing(self, found: dict[str, Any], title: str) -> Picture | None:
-        """Draw the log Bayes factors of an entry of `missing` in result.json; return None if it has none."""
+        """Draw the log Bayes factors of `found`, an entry of `missing` in result.json; None if it has no factor."""
         if all(c["log_bayes_factor"] is None for c in found["candidates"]):
             return None
         return self.draw(lambda: plots.missing(found), f"Effects missing from {title}")
 
     def draw_errors(self, steps: Sequence[dict[str, Any]]) -> Picture:
-        """Draw the errors of the steps of a search, from `steps` in result.json."""
+        """Draw the rms errors of the steps of a search, given as `steps` in result.json."""
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
 
@@ -96,7 +96,7 @@ ALT_SUFFIX = ". The tables of this report contain the same data."
 
 
 def render_svg(figure: Figure) -> str:
-    """Return a figure as SVG text without a background."""
+    """Return a figure as the text of an SVG file without a background."""
     for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
         patch.set_visible(False)
     out = io.StringIO()
@@ -121,15 +121,15 @@ def embed_svg(svg: str, prefix: str, alt: str) -> Markup:
     width = float(size[1]) * 4 / 3 if size else 600.0  # points to CSS pixels
     opening, content = markup.split(">", 1)
     view = re.search(r'viewBox="[^"]*"', opening)
-    head = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
-    return Markup(f"{head} {view[0] if view else ''}>{content}")
+    svg_tag = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
+    return Markup(f"{svg_tag} {view[0] if view else ''}>{content}")
 
 
 NO_STIMULUS = (
     "No budget by source: the instrument has no single stimulus to compensate for. Uncertainties are under "
     "Coefficients, for three axes also that of a compensated vector, whose covariance correction.h and .py return."
 )
-MAX_ROWS = 60  # number of rows of a table of candidates; of coefficients four times as many
+MAX_ROWS = 60  # rows of a table of candidates; a table of coefficients has up to four times as many
 
 
 def report(

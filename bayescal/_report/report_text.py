@@ -41,7 +41,7 @@ def format_with_unit(value: float, unit: str, digits: int = 4) -> str:
 
 
 def tabulate_ranges(calibration: Calibration) -> ResultTable:
-    """Tabulate range and role in the model of each numeric column, each rate of a temperature, and the elapsed time."""
+    """Tabulate the range, and the role in the model, of numeric columns, temperature rates and the elapsed time."""
     readings, model = calibration.readings, calibration.model
     used_columns = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
     used_columns |= find_response_columns(model.instrument, calibration.frame)
@@ -78,13 +78,13 @@ def tabulate_ranges(calibration: Calibration) -> ResultTable:
 
 
 def format_group_sizes(data: dict[str, Any]) -> str:
-    """Format the numbers of runs, cells, axes and devices in a result.json, except those below two."""
+    """Format the numbers of runs, cells, axes and devices in the data of a result.json, omitting those below two."""
     counts = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
     return ", ".join(f"{n} {'axes' if k == 'axis' else k + 's'}" for k, n in counts if n > 1)
 
 
 def tabulate_files(chapter: Chapter) -> ResultTable:
-    """Tabulate the files of readings and of hold-out data, with number of readings and SHA-256."""
+    """Tabulate the files of readings and hold-out data, with the number of readings and the SHA-256 of each."""
 
     def join_names(names: str | list[str]) -> str:
         return names if isinstance(names, str) else ", ".join(names)
@@ -97,7 +97,7 @@ def tabulate_files(chapter: Chapter) -> ResultTable:
 
 
 def tabulate_coefficients(chapter: Chapter) -> ResultTable:
-    """Tabulate the unknowns of the last model, given that their effects are present, with two intervals."""
+    """Tabulate the unknowns of the last model, conditional on their effects, with expanded and credible intervals."""
     used, not_measured = chapter.used, find_prior_dominated_coefficients(chapter.used)
     summaries, rows = {r["name"]: r for r in chain(*summary(used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in format_rows(used, chapter.calibration.model.names).items():
@@ -131,7 +131,7 @@ def tabulate_coefficients(chapter: Chapter) -> ResultTable:
 
 
 def tabulate_signed(table: ResultTable, model: Model) -> ResultTable:
-    """Tabulate the unknowns for the signed page, nonlinear parameters (shapes) last, and then the fixed values."""
+    """Tabulate the ungrouped unknowns for the signed page: coefficients, nonlinear parameters, fixed values."""
     ungrouped = [r for r in table.rows if "(" not in r["name"]]
     names = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
     shapes = [r for r in ungrouped if r["name"] in names][:MAX_SIGNED_ROWS]
@@ -181,7 +181,7 @@ def tabulate_convergence(chapter: Chapter) -> ResultTable:
 
 
 def tabulate_effects(chapter: Chapter) -> ResultTable:
-    """Tabulate the effects of the model: equation, unknowns with priors, source, the step that added the effect."""
+    """Tabulate the effects of the model: slot, equation, unknowns with priors, the step that added each, source."""
     added_at, model = dict[str, str](), chapter.used.model
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
@@ -234,7 +234,7 @@ MAX_NAMED = 4  # number of effects of the first model, and of unknowns of an eff
 
 
 def summarise_chapter(chapter: Chapter) -> str:
-    """Summarise in one paragraph the effects found, the first and last error, the residuals, and open questions."""
+    """Return a paragraph on the effects found, the first and last error, the residuals, and open questions."""
     texts = [f(chapter) for f in (_describe_additions, _format_errors, _describe_residuals)]
     open_questions = [*_list_untested(chapter), *_list_undecided(chapter)]
     return " ".join([*_list_failed_checks(chapter), *texts, *open_questions])
@@ -298,7 +298,7 @@ PHRASES = {  # phrase by an effect's kind
 
 
 def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
-    """Describe an effect: kind of dependence, name, and range of its curve or values of its unknowns if present."""
+    """Describe an effect: kind of dependence, name, range of its curve or values of its unknowns (if it is present)."""
     base = c.model.instrument.known.get(effect.family_name, effect)  # forms share its text
     along = effect.covariate if effect.is_placeholder else base.columns[-1] if base.columns else ""
     text = f"{PHRASES[base.kind]} {along.replace('_', ' ')}, " if base.kind in PHRASES else ""
@@ -327,14 +327,14 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
 
 
 def describe_change(initial: float, final: float) -> str:
-    """Return how an error changed, to two digits: "fell from 0.47 to 0.43", "stayed at 6.7"."""
+    """Format how an error changed, to two digits: "fell from 0.47 to 0.43", "stayed at 6.7"."""
     first_text, last_text = number(initial, 2), number(final, 2)
     change = f"{'fell' if final < initial else 'rose'} from {first_text} to {last_text}"
     return f"stayed at {last_text}" if first_text == last_text else change
 
 
 def _format_errors(chapter: Chapter) -> str:
-    """Compare first and last rms error: on hold-out data or left-out groups, also as fitted if that did not fall."""
+    """Compare the first and last rms error of hold-out data, else of left-out groups; if not lower, also as fitted."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
     ends = steps[0], steps[-1]
     label, errors, beside = "as fitted", [s["rmse_fitted"] for s in ends], ""
@@ -353,7 +353,7 @@ def _format_errors(chapter: Chapter) -> str:
 
 
 def _describe_residuals(chapter: Chapter) -> str:
-    """State on which covariates the residuals depend, or else whether they agree with the noise model."""
+    """State on which covariates the residuals depend; if on none, whether they agree with the noise model."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
     covariates = [e.covariate for e in chapter.check.entries if e.log_bayes_factor > strong]
@@ -374,7 +374,7 @@ def _list_last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
 
 
 def _list_untested(chapter: Chapter) -> Iterator[str]:
-    """Yield sentences on columns that were left out, and on effects that could not be tested."""
+    """Yield sentences on columns that were ignored, and on effects that could not be tested."""
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.subjects]:
         yield f"Columns not used: {', '.join(names)}."
@@ -384,7 +384,7 @@ def _list_untested(chapter: Chapter) -> Iterator[str]:
 
 
 def _list_undecided(chapter: Chapter) -> Iterator[str]:
-    """Yield sentences on alternatives between which these readings do not decide."""
+    """Yield sentences on the alternatives that these readings cannot decide."""
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
     sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
     questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]

@@ -116,7 +116,7 @@ def result(path: SearchPath) -> dict[str, Any]:
 
 
 def convert_search(path: SearchPath) -> dict[str, Any] | None:
-    """Convert the evaluated structures and the reason why the search ended to plain data; None without a search."""
+    """Convert the evaluated structures, and why the search ended, to plain data; None without a search."""
     search = path.search
     if search is None:
         return None
@@ -149,7 +149,7 @@ def versions(*further: str) -> dict[str, str]:
 
 
 def _describe_source(readings: Measurements) -> dict[str, Any]:
-    """Return name and SHA-256 of the file of readings (lists for several files), and the number of readings."""
+    """Return the name and SHA-256 of the file of readings (lists if several), and the number of readings."""
     files, hashes = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
     file, sha256 = (texts[0] if len(texts) == 1 else texts for texts in (files, hashes))
     return {"file": file, "sha256": sha256, "rows": len(readings)}
@@ -247,7 +247,7 @@ class Foreword:
 
 
 class ForewordSource(Protocol):
-    """Interface of what supplies a section before the chapters: a laboratory's statements, decisions on limits."""
+    """Interface of objects that supply a foreword: a certificate's statements, conformity decisions."""
 
     def foreword(self, chapters: Sequence[Chapter]) -> Foreword: ...
 
@@ -269,7 +269,7 @@ class Chapter:
 
 
 def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Build report chapters from calibrations, search paths or chapters; raise InputError for others."""
+    """Build report chapters from calibrations, search paths or chapters; raise InputError for others or none."""
     user_effects, types, items = tuple(effects), (Calibration, SearchPath, Chapter), [*results]
     wrong_types = [type(g).__name__ for g in items if not isinstance(g, types)]
     if wrong_types or not items:
@@ -317,7 +317,7 @@ def read_chapter(
 
 
 def to_search_path(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
-    """Build a search path of one step, a checked calibration; missing effects are also sought among `effects`."""
+    """Build a search path of one step from a calibration, checked; `effects` are further candidates."""
     catalogue = calibration.model.instrument.known
     candidates = (*(e for e in calibration.model.effects if e.name not in catalogue), *effects)
     discovery = discover(calibration, effects=candidates) if calibration.verdict.ok else None

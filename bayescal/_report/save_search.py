@@ -1,4 +1,4 @@
-"""Saving of a search to a folder (`SearchPath.save`): result.json, the last calibration and a figure.
+"""Saving of a search to a folder (`SearchPath.save`): result.json, calibrations and a figure.
 
 Each channel of a device has a subfolder; channels.json has their shared effects. The classes are defined in packages on
 which this one depends: their method `save` is attached here, and `bayescal` imports them from this module.
@@ -57,7 +57,7 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
         for subfolder, path in searches.items():
             write_search(path, hidden / subfolder)
         if isinstance(self, Channels):
-            write_json(convert_channels(self), hidden / CHANNELS)
+            write_json(channels_data(self), hidden / CHANNELS)
             with suppress(InputError):  # no readable channels.json from an earlier run
                 for subfolder in channel_folders(folder):
                     if (folder / subfolder).is_dir() and not (folder / subfolder).is_symlink():
@@ -101,8 +101,8 @@ SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
 )
 
 
-def convert_channels(channels: Channels) -> dict[str, Any]:
-    """Convert an overview of channels and their shared effects to plain data, the content of channels.json."""
+def channels_data(channels: Channels) -> dict[str, Any]:
+    """Convert channels and their shared effects to plain data: the content of channels.json."""
     folders = name_folders(channels.search_paths)
     return as_json(
         {

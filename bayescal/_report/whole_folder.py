@@ -1,4 +1,4 @@
-"""Atomic folders of results: written to a hidden subfolder, then moved, with `manifest.json` last.
+"""Atomic writing of result folders: files are written to a hidden subfolder, then moved, `manifest.json` last.
 
 Files that do not match the manifest are rejected, so that a result moved in part by a killed process is never used.
 """
@@ -17,7 +17,7 @@ from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.json_data import read_json, validate, write_json
 
 MANIFEST = "manifest.json"
-CHANNELS = "channels.json"  # of a unit, whose channels have a folder each
+CHANNELS = "channels.json"  # of a device, whose channels have a folder each
 CALIBRATION = "calibration.nc"  # calibration of the most probable structure
 AVERAGED = "averaged.nc"  # calibration averaged over structures
 SCHEMA = "bayescal.manifest/2"
@@ -25,7 +25,7 @@ REPAIR_ADVICE = "Use a backup of the whole folder, or calibrate again"
 
 
 def name_folders(names: Iterable[str]) -> dict[str, str]:
-    """Return the name of a folder for each channel, without characters that file systems may reject."""
+    """Return channel → folder name: unique, without characters that file systems may reject."""
     folders: dict[str, str] = {}
     for name in names:
         base_name = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
@@ -86,7 +86,7 @@ def replace_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path
 
 @contextmanager
 def guard_drawing(subject: str) -> Iterator[None]:
-    """Convert any exception raised while drawing `subject` to NotDrawn.
+    """Convert any exception raised in the `with` block, which draws `subject`, to NotDrawn.
 
     Raises:
         NotDrawn: for any cause: a font, LaTeX, Matplotlib, a full disk.
@@ -117,7 +117,7 @@ def read_hashes(folder: Path) -> dict[str, str]:
 
 
 def refuse_mixed(folder: Path, *names: str) -> None:
-    """Raise InputError if files (those named, or all) differ from the hashes in the folder's manifest."""
+    """Raise InputError if files (`names`, or all) differ from their hashes in the folder's manifest."""
     hashes = {n: d for n, d in read_hashes(folder).items() if not names or n in names}
     for name, digest in hashes.items():
         if (folder / name).is_file() and compute_sha256(folder / name) != digest:
@@ -128,7 +128,7 @@ def refuse_mixed(folder: Path, *names: str) -> None:
 
 
 def _find_unmodified(folder: Path) -> dict[str, str]:
-    """Return the unmodified result files of an earlier run, name → SHA-256."""
+    """Return the result files in a folder that still match its manifest, name → SHA-256; {} if it is unreadable."""
     try:
         hashes = read_hashes(folder)
     except InputError:

@@ -98,7 +98,7 @@ class Library:
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
-    def take_means(self, linear: LinearModel) -> LinearModel:
+    def average(self, linear: LinearModel) -> LinearModel:
         """Return the linear model on means of readings, for scores on a long record; unchanged for a short one."""
         count = linear.size // MEANS_COUNT
         if count < 2:

@@ -80,7 +80,7 @@ class Scorer:
     def __init__(self, library: Library, fit: EvaluatedStructure):
         self.library, self.fit = library, fit
         self.linear = linear = library.structures.linearise(fit)
-        self.linear_means = library.take_means(linear)
+        self.linear_means = library.average(linear)
         whitened_by_model = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
         for rows in {linear, self.linear_means}:
             whitened_columns = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
