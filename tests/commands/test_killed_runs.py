@@ -27,11 +27,11 @@ WRITES = """
 import sys
 from pathlib import Path
 from tests.support.spoilt_runs import killed_at
-from tests.support.inside import whole_folder
+from tests.support.inside import replace_folder
 
 folder, text, names = Path(sys.argv[1]), sys.argv[3], sys.argv[4:]
 killed_at(str(folder.parent), int(sys.argv[2]))
-with whole_folder(folder) as hidden:
+with replace_folder(folder) as hidden:
     for name in names:
         (hidden / name).parent.mkdir(exist_ok=True)
         (hidden / name).write_text(text)
