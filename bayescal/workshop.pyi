@@ -143,10 +143,6 @@ from ._model.installed import list_installed as list_installed
 from ._model.parameters import Unknowns as Unknowns
 from ._model.parameters import bind as bind
 from ._report import plot_colours as plot_colours
-from ._report.whole_folder import MANIFEST as MANIFEST
-from ._report.whole_folder import guard_drawing as guard_drawing
-from ._report.whole_folder import read_hashes as read_hashes
-from ._report.whole_folder import replace_folder as replace_folder
 from ._report.report import Pictures as Pictures
 from ._report.result_json import Chapter as Chapter
 from ._report.result_json import Foreword as Foreword
@@ -154,6 +150,10 @@ from ._report.result_json import versions as versions
 from ._report.save_search import draw_search as draw_search
 from ._report.save_search import save_search as save_search
 from ._report.save_search import write_search as write_search
+from ._report.whole_folder import MANIFEST as MANIFEST
+from ._report.whole_folder import guard_drawing as guard_drawing
+from ._report.whole_folder import read_hashes as read_hashes
+from ._report.whole_folder import replace_folder as replace_folder
 from ._search.calibrate import QUICK as QUICK
 
 # the search: structures, their posterior, the loop over them, its steps

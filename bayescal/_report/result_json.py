@@ -32,7 +32,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
+from bayescal._report.whole_folder import AVERAGED, CALIBRATION, read_hashes, refuse_mixed
 from bayescal._search.calibrate import check_step
 from bayescal._search.discover import Discovery, discover
 from bayescal._search.gate import assess_last

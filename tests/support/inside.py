@@ -34,6 +34,7 @@ from bayescal._core.json_data import validate as validate
 from bayescal._core.quoting import to_identifier as to_identifier
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import allan_variances as allan_variances
+from bayescal._data.allan_deviation import compute_edf as compute_edf
 from bayescal._data.column import find_overloads
 from bayescal._data.set_aside import flag_fitted_holdout
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
@@ -61,6 +62,8 @@ from bayescal._use.compensation_program import CompensationProgram as Compensati
 from bayescal.workshop import MANIFEST as MANIFEST
 from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
 from bayescal.workshop import format_value as format_value
+from bayescal.workshop import read_hashes as read_hashes
+from bayescal.workshop import replace_folder as replace_folder
 
 identity_of = identity  # SHA-256 by which every artefact names a calibration
 result_of = result  # what `save` of a search writes as result.json, nothing drawn
