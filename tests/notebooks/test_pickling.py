@@ -11,7 +11,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import INSTRUMENTS, mems_gyro
-from tests.support.compilations import compile_lazily
+from tests.support.compilations import compiled
 from tests.support.inside import identity_of
 
 QUICK = bc.LeastSquares(draws=400)
@@ -64,7 +64,7 @@ def test_nothing_is_compiled_again(calibration) -> None:
         bc.predict(copy)
         bc.fit(copy.model, copy.readings, QUICK)
 
-    assert compile_lazily(same) == []
+    assert compiled(same) == []
 
 
 def summary_of(content: bytes) -> tuple[str, str, int]:

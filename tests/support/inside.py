@@ -30,6 +30,7 @@ from bayescal._calibration.claim import CRITERIA as CRITERIA
 from bayescal._calibration.claim import Claim as Claim
 from bayescal._calibration.claim import as_claim as as_claim
 from bayescal._core.formatting import format_interval as format_interval
+from bayescal._core.importance_weights import smooth as smooth
 from bayescal._core.json_data import validate as validate
 from bayescal._core.quoting import to_identifier as to_identifier
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
