@@ -47,7 +47,7 @@ def explore(
 
     The structure without added effects is evaluated in any case; `follow` is called once a second, and at the end.
     """
-    started, last_time, structures, reason = time.monotonic(), 0.0, library.structures, ""
+    begin, last_time, structures, reason = time.monotonic(), 0.0, library.structures, ""
     limit = deadline.current()
     with deadline.suspend():
         structures.evaluate(Structure())
@@ -61,10 +61,10 @@ def explore(
                     last_time = time.monotonic()
                 limit.raise_if_over()
     except deadline.TimeIsUp as stop:
-        reason = (STOPPED if limit.interrupted else OUT_OF_TIME).format(time.monotonic() - started)
+        reason = (STOPPED if limit.is_interrupted else OUT_OF_TIME).format(time.monotonic() - begin)
         if len(structures.visited) == 1:
             reason = NOT_BEGUN_TEXT.format(stop)
-        if limit.interrupted:
+        if limit.is_interrupted:
             notify("interrupted: fitting the best model so far; Ctrl-C again ends without a result")
     follow()
     library.cached_columns.clear()
