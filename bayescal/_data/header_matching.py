@@ -106,7 +106,7 @@ _AXIS_LETTER = re.compile(
 
 
 def find_units(header: Header, kinds: tuple[str, ...]) -> dict[str, Header]:
-    """Return the units of the given dimensions that a header may have: unit → the header split accordingly."""
+    """Return the units, of the dimensions `kinds`, that a header may have: unit → header split into name and unit."""
     pairs = ((unit_in(split.unit or "", kinds), split) for split in list_splits(header))
     return {unit: replace(split, unit=unit) for unit, split in pairs if unit}
 
@@ -156,7 +156,7 @@ def normalise(name: str) -> str:
 
 
 def comparison_key(split: Header) -> str:
-    """Return the normalised name of a split header; symbols of one letter are unchanged."""
+    """Return the normalised name of a split header, for comparison; symbols of one letter are unchanged."""
     name = split.name.strip()
     return name if len(name) == 1 else normalise(name)
 
@@ -170,7 +170,7 @@ def find_label_column(header: Header) -> str | None:
 
 
 def are_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
-    """Return whether cells are labels: two or more texts or integers, in blocks or (`in_turn`, devices) interleaved."""
+    """Return whether cells are labels: several texts or integers, in blocks or, if `in_turn` (devices), interleaved."""
     levels = set(texts.tolist())
     blocks = len(levels) if in_turn else 1 + int(np.count_nonzero(texts[1:] != texts[:-1]))
     valid = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
@@ -461,7 +461,7 @@ class MatchedFile:
         return are_labels(load_whole(self.table, {position: False})[position].values, in_turn)
 
     def rule(self, name: str) -> ColumnRule:
-        """Return the matching rule of the column that bayescal calls `name`."""
+        """Return the rule that matches headers to the column that bayescal calls `name`."""
         column, output = self.expected.get(name), output_name(self.instrument)
         if column is None:
             return ColumnRule(Column(name, ANY), (ANY,))
@@ -529,7 +529,7 @@ class MatchedFile:
         return options if header.unit else f"{options} {option('--unit', f'{header.raw}=UNIT')}"
 
     def add_further_columns(self) -> None:
-        """Add the columns with a unit that the instrument does not declare; flag those ignored."""
+        """Add the undeclared columns that have a unit, in base units; flag those that are ignored."""
         if self.options.only:
             return
         further_columns, without_unit, file = dict[str, Column](), list[str](), self.table.file

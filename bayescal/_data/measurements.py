@@ -89,7 +89,7 @@ class Measurements(Printed):
 
     @classmethod
     def from_variables(cls, variables: Mapping[str, Any], **other_fields: Any) -> Measurements:
-        """Create measurements from NetCDF variables, unchecked; `other_fields`: further fields, such as `sources`."""
+        """Create measurements from NetCDF variables unchecked; `other_fields`: further ones, such as `sources`."""
         excluded = (name for name, v in variables.items() if not v.attrs.get(CAUSE, 1))
         return cls(
             {name: variable.values for name, variable in variables.items()},
@@ -203,7 +203,7 @@ class Measurements(Printed):
         )
 
     def variables(self) -> dict[str, Variable]:
-        """Return the columns with their attributes, as variables of a NetCDF file."""
+        """Return the columns and their attributes as variables of a NetCDF file, by name."""
         variables = {}
         for name, values in self.values.items():
             unit = self.units[name]

@@ -166,7 +166,7 @@ def _as_sequence(names: str | Sequence[str]) -> Sequence[str]:
 
 
 def _set_zero(instrument: InstrumentLike, scale: NominalScale | None, text: str) -> NominalScale:
-    """Return a nominal scale with the given raw output at zero input, such as "1.21 V"."""
+    """Return `scale` with the raw output at zero input given by `text`, such as "1.21 V"."""
     argument = f"nominal_zero={text!r} (--nominal-zero)"
     if scale is None:
         raise InputError(
@@ -228,7 +228,7 @@ def output_name(instrument: InstrumentLike) -> str:
 
 
 def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
-    """Return the instrument's columns and those common to all instruments, by name."""
+    """Return the columns expected in a file, by name: the instrument's, and those common to all instruments."""
     expected = {column.name: column for column in instrument.columns}
     if (time := expected.get("time")) is not None and time.high is None:
         expected["time"] = replace(time, high=LATEST)
@@ -298,5 +298,5 @@ def check_options(tables: Sequence[Table], options: ReadOptions, problems: Objec
 
 
 def format_headers(table: Table) -> str:
-    """Format the headers of a file for messages."""
+    """Format the headers of a file as a list for messages."""
     return ", ".join(header.raw or "(no name)" for header in table.headers)

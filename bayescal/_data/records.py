@@ -86,7 +86,7 @@ class Records:
 
     @cached_property
     def step(self) -> np.ndarray:
-        """Return the time steps within records, s, in the order `order` (n,); −1 at first readings or without times."""
+        """Return the time steps within records (n,), s, in the order `order`; −1 at first readings or without times."""
         if not self.time.size:
             return -np.ones(self.codes.size)
         time = self.time[self.order]
@@ -124,7 +124,7 @@ class Records:
         return first
 
     def matching_records(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
-        """Return name and sorted times of those records in `record` that have a name of these, by index in these."""
+        """Return name and sorted times of the records in `record` that have a name of these, by index in these."""
         return {
             i: (name, record.time[record.in_time[record.names.index(name)]])
             for i, name in enumerate(self.names)

@@ -32,7 +32,7 @@ MIN_FITTED_SHARE = 0.9
 
 
 class Fault(NamedTuple):
-    """Rows of readings to exclude (empty without a fault), and the reason, in words."""
+    """Rows of readings to exclude (empty if there is no fault), and the reason in words."""
 
     rows: np.ndarray = np.zeros(0, int)
     reason: str = ""
@@ -41,7 +41,7 @@ class Fault(NamedTuple):
 def set_aside(
     readings: Measurements, keep_spikes: bool = False, needed: Collection[str] = ()
 ) -> Measurements:
-    """Exclude clipped and stuck readings and spikes; flags report them.
+    """Return the readings without clipped and stuck ones and spikes; flags report the excluded rows.
 
     Args:
         readings: readings as recorded.

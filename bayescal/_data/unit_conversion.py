@@ -271,7 +271,7 @@ def _suggest_units(name: str) -> str:
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
-    """Return the only unit that a text spells, of a dimension among `kinds` ("any" admits all); None if ambiguous."""
+    """Return the only unit with a dimension of `kinds` ("any": all) that a text spells; None if none or several."""
     if _has_dimension(text, kinds):
         return text
     if ANY in kinds:
@@ -366,7 +366,7 @@ def needs_gravity(from_unit: str, to_unit: str) -> bool:
 
 
 def coefficient_factor(unit: str, slot_unit: str) -> float:
-    """Return the factor that converts `unit` to `slot_unit`, degC taken as a temperature difference."""
+    """Return the factor that converts `unit` to `slot_unit`; degC counts as a temperature difference."""
     return parse(unit).factor / parse(slot_unit).factor
 
 
