@@ -44,9 +44,8 @@ class FlatDraws(NamedTuple):
     v: Float[np.ndarray, "b d"]
 
 
-@renamed(having="inclusion_masks", dated="dated_effects", thinned="thin_draws")
-@renamed(likeliest="likeliest_effects", held_at="reference_constants")
-@renamed(chi_squared="chi_squared_test")
+@renamed(having="inclusion_masks", likeliest="likeliest_effects", held_at="reference_constants")
+@renamed(chi_squared="chi_squared_test", dated="dated_effects", thinned="thin_draws")
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """The fields and computations of a fit result; `Calibration` documents them and adds printing and saving."""
@@ -134,6 +133,11 @@ class Fitted:
         record.require_finite(self.model.effects)
         return Problem(self.layout, record)
 
+    def clear_cache(self) -> None:
+        """Drop the inference problem and its linear model, which are recomputed on demand."""
+        for name in ("problem", "linear"):
+            vars(self).pop(name, None)
+
     def problem_on(self, frame: Frame) -> Problem:
         """Return the inference problem of the fitted structure on other readings."""
         fit_record = self.problem.record
@@ -210,9 +214,8 @@ class Fitted:
         """Return names of the effects that depend on absolute time, not only on time since the start of a run."""
         if not self.readings.has("time"):
             return ()
-        frame = self._probe_frame
-        delay = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
-        later_frame = frame.shift_columns({"time": delay})
+        frame, span = self._probe_frame, self.reference["time_span"]
+        later_frame = frame.shift_columns({"time": 0.3 * float(span)})  # pyright: ignore[reportArgumentType]
         time_effects = (e for e in self.model.effects if "time" in e.columns)
         pairs = ((e.name, self._basis(e, frame), self._basis(e, later_frame)) for e in time_effects)
         return tuple(name for name, a, b in pairs if not np.array_equal(a, b))
@@ -252,9 +255,8 @@ class Fitted:
     @property
     def usual_columns(self) -> set[str]:
         """Return the columns of effects with inclusion probability above 0.5, and those of group labels."""
-        probabilities = self.inclusion
-        probable_effects = (e for e in self.model.effects if probabilities[e.name] > 0.5)
-        return set().union(GROUPS, *(e.columns for e in probable_effects))
+        effects = (e for e in self.model.effects if self.inclusion_masks[e.name].mean() > 0.5)
+        return set().union(GROUPS, *(e.columns for e in effects))
 
     def with_columns(self, columns: Iterable[str]) -> Self:
         """Return the posterior conditional on structures that need no other columns; itself if too few draws remain."""
@@ -420,9 +422,8 @@ def _iterate_chunks(problem: Problem, draws: FlatDraws) -> Iterator[tuple[slice,
     for start in range(0, len(draws.x), count):
         chunk = slice(start, start + count)
         chunk_draws = FlatDraws(draws.x[chunk], draws.v[chunk])
-        values = problem.hyper(chunk_draws.v.T)
-        parameters = {k: np.broadcast_to(value, len(chunk_draws.x)) for k, value in values.items()}
-        yield chunk, chunk_draws, parameters
+        values = problem.hyper(chunk_draws.v.T).items()
+        yield chunk, chunk_draws, {k: np.broadcast_to(v, len(chunk_draws.x)) for k, v in values}
 
 
 def _compute_mean_and_input_sds(
@@ -434,8 +435,7 @@ def _compute_mean_and_input_sds(
     """
     if not terms:
         return problem.expected(draws.x, hyper), []
-    mean, gradients = problem.expected_with_slopes(draws.x, hyper, terms)
-    sds = list[Any]()
+    (mean, gradients), sds = problem.expected_with_slopes(draws.x, hyper, terms), list[Any]()
     for t, gradient in zip(terms, gradients, strict=True):
         prior_sd = t.prior_sd
         if t.place != "input":

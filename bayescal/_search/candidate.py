@@ -144,9 +144,8 @@ def _measure_fitted_size(effect: Effect, fit: EvaluatedStructure) -> dict[str, A
         return {"size": size, "size_sd": sd, "shape": shapes, "unit": first_shape.unit}
     if amplitude := find_amplitude(effect, problem, mode):
         return {"size": amplitude[0], "size_sd": amplitude[1], "shape": shapes}
-    term = next(t for t in problem.in_x if t.effect.name == effect.name)
     # The uncertainty includes that of shapes, to first order.
-    i = term.x_slice.start
+    i = next(t.x_slice.start for t in problem.in_x if t.effect.name == effect.name)
     sd = linearise_model(problem, mode).uncertainty(i)
     return {"size": float(mode.x[i]), "size_sd": sd, "shape": shapes}
 

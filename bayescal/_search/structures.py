@@ -375,10 +375,11 @@ class Structures:
         return frozenset(substantial_names)
 
     def clear_cache(self) -> None:
-        """Drop cached columns, Jacobians and the structures over block means; they are recomputed on demand."""
+        """Drop cached columns, Jacobians, linear models and structures over block means; recomputed on demand."""
         for fit in (*self.visited.values(), *self.previous_round.values()):
             fit.problem.clear_cache()
-        vars(self).pop("on_means", None)
+        for name in ("on_means", "linearise", "fit_law"):
+            vars(self).pop(name, None)
         self.record.clear_cache()
 
     def store_score(self, structure: Structure, log_posterior: float) -> None:

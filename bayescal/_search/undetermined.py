@@ -94,8 +94,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         ModelError: an effect needs a column that the readings lack.
     """
     model.require(readings)
-    layout, levels = bind(model, readings)
-    reference = reference_of(readings)
+    (layout, levels), reference = bind(model, readings), reference_of(readings)
 
     def linearise(rows: Measurements) -> LinearModel:
         frame = build_frame(rows, reference, levels, readings)

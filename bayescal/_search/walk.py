@@ -100,14 +100,14 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
         while True:
             count = len(structures.visited)
             if current := _select_next(structures, expanded_by_scope[scope], scope):
-                structure = current.structure
-                previous = [*expanded_by_scope[scope]] if structures.near_best_only else []
+                structure, find_families = current.structure, structures.families
+                key = find_families(structure.effects), structure.noise
+                is_expanded = key in (
+                    (find_families(s.effects), s.noise) for s in expanded_by_scope[scope]
+                )
                 expanded_by_scope[scope].add(structure)
-                families, noise = structures.families(structure.effects), structure.noise
-                others = (s for s in previous if s.noise == noise)
-                if similar := [s for s in others if structures.families(s.effects) == families]:
-                    yield from _repeat_move(structures, current, similar[0])
-                else:
+                # A fleet's search expands the effects in one form: `_try_forms` scores the others by their change.
+                if not (structures.near_best_only and is_expanded):
                     yield from _evaluate_neighbours(library, current, scope, make_scorer)
                 continue
             if scope is named_scope:
@@ -298,16 +298,6 @@ def _list_changes(
                     yield s, change
 
 
-def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structure) -> Evaluations:
-    """Evaluate a structure's neighbours by the moves that succeeded from `other`, the same effects in other forms."""
-    effects, other_effects = fit.structure.effects, other.effects
-    for s, known_fit in [*structures.visited.items()]:
-        is_near = structures.is_in_window(known_fit.log_posterior, structures.window_nats)
-        if is_near and other_effects - effects <= s.effects and len(s.effects ^ other_effects) == 1:
-            changed_effects = s.effects - (other_effects - effects) | (effects - other_effects)
-            yield structures.evaluate(Structure(changed_effects, s.noise), fit)
-
-
 def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = False) -> Evaluations:
     """Evaluate a structure with other forms of its effects that have no score, one form replaced at a time.
 
@@ -331,11 +321,11 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
             pairs = () if last else _list_changes(means or structures, frozenset({name}), added)
             changes = [c for s, c in pairs if structures.noise_law(s).independent == is_independent]
             change = max(changes) if changes else structures.change_on_means(neighbour, fit)
-            expected_log_posterior = fit.log_posterior + change
-            if neighbour not in structures.visited and not structures.is_in_window(
-                expected_log_posterior, *window
-            ):
-                structures.store_score(neighbour, expected_log_posterior)
+            # A fleet's search takes the change from another law, unless the form would be the best.
+            limit = (0.0,) if changes and structures.near_best_only else window
+            is_near = structures.is_in_window(fit.log_posterior + change, *limit)
+            if not (is_near or neighbour in structures.visited):
+                structures.store_score(neighbour, fit.log_posterior + change)
             elif means is not None or _needs_fit(structures, neighbour, fit):
                 # Begin its shapes where those of the same name are in the form to be replaced.
                 index = fit.problem.layout.index_in_phi
