@@ -62,11 +62,11 @@ class Calibration(Printed, Fitted):
         )
         lines = [
             *(f"not measured: {direction}" for direction in null_directions(self)),
-            str(self.verdict),
+            *self.verdict.sentences,
             *(f"conflict: {conflict}" for conflict in self.conflicts),
             *(f"not reliable: {conflict}" for conflict in other_failures),
         ]
-        return "\n".join(wrap(line, "") for line in lines)
+        return "\n".join(map(wrap, lines))
 
     def _format_summary(self) -> str:
         status = "converged" if self.verdict.ok else "NOT converged"

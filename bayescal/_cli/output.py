@@ -10,7 +10,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import format_check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.summary import list_directions, list_unknowns, null_directions, summary
+from bayescal._calibration.summary import list_directions, list_unknowns, summary
 from bayescal._core import progress
 from bayescal._core.formatting import number, probability, wrap
 from bayescal._core.result_table import make_table
@@ -151,10 +151,10 @@ def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False
     final = path.final
     parts = [""] if has_begun else [format_first_model(path, verbose)]
     claims = final.discovery.equivalent if final.discovery else ()
-    lines = [f"{c.subjects[0]} and {' + '.join(c.numbers['beside'])}" for c in claims]
-    pairs = (c for c in null_directions(final.calibration) if c.code == "direction.pair")
-    if lines := [*(c.numbers["combination"] for c in pairs), *lines]:
-        parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(wrap, lines)))
+    sets = ((c.subjects[0], *c.numbers["beside"]) for c in claims)
+    sets = (s for s in sets if not {*s} <= {*final.calibration.model.names})  # else in its remarks
+    if lines := [wrap(f"{first} and {' + '.join(others)}") for first, *others in sets]:
+        parts.append(_section("EFFECTS THAT THESE READINGS CANNOT TELL APART", *lines))
     for i, step in enumerate(path.steps if verbose else ()):
         heading = f"EFFECTS MISSING FROM STEP {i} ({step.title})"
         parts.append(_section(heading, step.discovery or _explain_not_tested(step)))

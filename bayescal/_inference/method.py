@@ -67,11 +67,14 @@ class Verdict:
         values = {f.name: fields_read[f.name] for f in fields(cls)}
         return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
+    @property
+    def sentences(self) -> list[str]:
+        """Return the statement on convergence, and the notes."""
+        reasons = "." if self.ok else ": " + " ".join(self.reasons)
+        return [f"{'NOT ' * (not self.ok)}converged ({self.sampler}){reasons}", *self.notes]
+
     def __str__(self) -> str:
-        status, ending = (
-            ("converged", ".") if self.ok else ("NOT converged", ": " + " ".join(self.reasons))
-        )
-        return " ".join([f"{status} ({self.sampler}){ending}", *self.notes])
+        return " ".join(self.sentences)
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,7 @@ def check_weights(
 def select_k_hat(log_ratio: Float[np.ndarray, "s"], weights: Float[np.ndarray, "s"]) -> float:
     """Return the largest acceptable Pareto k̂: smaller if the nonlinearity corrections of log weights vary."""
     log_ratio = np.clip(log_ratio, -1e3, 1e3)
-    mean = weights @ log_ratio
-    is_nonlinear = weights @ (log_ratio - mean) ** 2 > MIN_NONLINEAR_SD**2
+    is_nonlinear = weights @ (log_ratio - weights @ log_ratio) ** 2 > MIN_NONLINEAR_SD**2
     return MAX_K_HAT_NONLINEAR if is_nonlinear else MAX_K_HAT
 
 
