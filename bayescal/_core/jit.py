@@ -26,8 +26,7 @@ def compile_lazily(
 
     @cache
     def compile_once(is_optimised: bool) -> Callable[..., R]:
-        options = compiler_options(is_optimised)
-        return jax.jit(function, static_argnums=0, compiler_options=options)
+        return jax.jit(function, static_argnums=0, compiler_options=compiler_options(is_optimised))
 
     @wraps(function)
     def call(*args: Any) -> R:

@@ -108,8 +108,7 @@ def scale_to_integers(vector: np.ndarray) -> np.ndarray:
     # Null directions of physical models are often ratios of small integers, such as 1 : −1 for two constants.
     entries = np.abs(vector[vector != 0])
     ratios = vector / entries.min()
-    is_integer = np.abs(ratios - np.rint(ratios)) < 1e-5
-    is_small = is_integer.all() and np.abs(ratios).max() < 100
+    is_small = np.abs(ratios).max() < 100 and np.all(np.abs(ratios - np.rint(ratios)) < 1e-5)
     scaled_vector = np.rint(ratios) if is_small else vector / entries.max()
     return scaled_vector * np.sign(scaled_vector[np.flatnonzero(scaled_vector)[0]])
 

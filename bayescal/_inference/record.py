@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +14,7 @@ from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
 from bayescal._core.lazy_jax import jax
+from bayescal._core.parallel import release_memory
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
@@ -139,8 +138,7 @@ class Record:
         self._shape_columns, self._cached_bytes, self._expansions = OrderedDict(), 0, {}
         if self.affine_map is not None:
             self.table.clear()
-        if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
-            libc.malloc_trim(0)  # of glibc: hundreds of MB after a search
+        release_memory()
 
     def expansions(self, effect: ColumnSpec, fixed: tuple[float | None, ...]) -> Expansions:
         """Return the expansions of an effect's columns in its free shapes; fixed: each shape's fixed value, or None."""

@@ -13,6 +13,7 @@ from scipy.special import expit
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, format_value, number, probability
+from bayescal._core.parallel import release_memory
 from bayescal._core.progress import track
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, make_table
@@ -203,6 +204,7 @@ def calibrate_channels(
         for i, c in enumerate(channels):
             with track(f"{c.name}, channel {i + 1} of {count}"), deadline.shorten(1 / (count - i)):
                 paths[c.name] = c.search.fit_path(partial(follow, c.name))
+            release_memory()
     return Channels(paths, tuple(shared_shapes.values()))
 
 

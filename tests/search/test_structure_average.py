@@ -87,7 +87,7 @@ def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_p
     slope = np.diff(found.value)[0]
     assert wide**2 - narrow**2 == pytest.approx((slope * size) ** 2, rel=0.02)
     budget = bc.budget(in_use[0])
-    (row,) = (s for s in budget.sources if "bias.run of a new run, neither" in s.name)
+    (row,) = (s for s in budget.sources if "bias.run of a new run" in s.name)
     assert row.contribution == pytest.approx(slope * size, rel=0.02) and row.kind == ""
     (note,) = (n for n in budget.notes if getattr(n, "code", "") == "budget.new_run")
     p, tau = note.numbers["p"], note.numbers["tau"]
