@@ -140,7 +140,7 @@ def shown(structure: dict) -> str:
     return "+ " + " + ".join(named) if named else "nothing to add"
 
 
-BEST = re.compile(r"best so far: (.*?), \S+ \S+ rms")
+BEST = re.compile(r"best so far: (.*?), rms residual")
 
 
 class Ended(NamedTuple):
