@@ -18,7 +18,7 @@ and `bayescal --help` are fast.
 # | checkpoint, resumed session | `_annexes/workbench/session_store.py` `save_session` |
 # | collinear, equivalent effects | `_search/equivalence.py` `Equivalent`, `_core/null_space.py` `Spans` |
 # | conformity, tolerance limits, guard band | `_annexes/metrology/conformity.py`, `_annexes/metrology/decide.py` |
-# | convergence diagnostics | `_inference/trust.py` `judge_chains` |
+# | convergence diagnostics | `_inference/trust.py` `assess_chains` |
 # | coverage factor, sensitivity coefficient | `_use/budget.py` `Contribution`, `budget` |
 # | credible interval | `_calibration/summary.py` `format_rows` |
 # | degrees of freedom of the noise | `_inference/least_squares.py` `LeastSquares` |

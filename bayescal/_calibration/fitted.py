@@ -169,12 +169,12 @@ class Fitted:
 
     @property
     def hold_at(self) -> dict[str, float]:
-        """Return the reference value (T0, V0 …) of each column that an effect depends on, by name."""
+        """Return the reference constants of the columns that effects depend on: name (T0, V0 …) → value."""
         return {name: value for name, (value, _) in self.reference_constants.items()}
 
     @cached_property
     def reference_constants(self) -> dict[str, tuple[float, str]]:
-        """Return reference value and unit of each column that an effect depends on, by name (T0, V0 …)."""
+        """Return the reference constants of the columns that effects depend on: name (T0, V0 …) → value and unit."""
         constants: dict[str, tuple[float, str]] = {}
         for column in self.readings.columns:
             name, unit = name_reference(column), self.readings.unit(column)

@@ -394,8 +394,8 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     time_limit.defer_interrupt()
     for k in range(IMPUTATION_COUNT if runs.lost else 1):
         full_runs = [_impute_run(run, model, parameters, runs.step, rng) for run in run_columns]
-        lines = [line[TONE_FREQ]] if "tone" in optional_terms else []
-        channel = _RestRecord(full_runs, EvenSpectrum(full_runs, runs.step, lines), *channel_fields)
+        tones = [line[TONE_FREQ]] if "tone" in optional_terms else []  # frequencies, Hz
+        channel = _RestRecord(full_runs, EvenSpectrum(full_runs, runs.step, tones), *channel_fields)
         fits: dict[Terms, GaussianFit] = {base_terms: _fit_sum(channel, base_terms, {})}
         try:
             for terms in _enumerate_sums(fits, base_terms, optional_terms, required_terms):

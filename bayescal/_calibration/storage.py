@@ -110,7 +110,8 @@ def _read_netcdf(
         metadata = parse_json(hdf5.attrs.get("bayescal", "{}"))
     if (schema := metadata.get("schema")) != SCHEMA:
         raise InputError(
-            f"{path.name} is not a calibration of this version: its schema is {schema!r}, not {SCHEMA!r}"
+            f"{path.name} is not a calibration of this version: its schema is {schema!r}, not {SCHEMA!r}. Load it with "
+            "the version that saved it, or repeat the calibration"
         )
     groups, attributes = decode_netcdf(content, GROUPS)
     readings = _restore_readings(groups, metadata)

@@ -119,12 +119,14 @@ def summarise_curve(calibration: Fitted, name: str) -> tuple[float, float, str]:
 
 
 def find_large_groups(calibration: Fitted) -> dict[str, str]:
-    """Return the group's key of each coefficient of a large group and of each initial state, by coefficient name."""
+    """Return coefficient name → key common to its group ("bias.run"), for large groups.
+
+    A group is large if it has more than `MAX_MEMBER_ROWS` members, or is of initial states and has more than one.
+    """
     keys = dict[str, str]()
     for key, rows in calibration.unknowns.by_key.items():
         members = calibration.unknowns.rows[rows]
-        block = members[0].block
-        is_initial = block is not None and block.coefficient.initial
+        is_initial = (block := members[0].block) is not None and block.coefficient.initial
         if members[0].group and len(members) > (1 if is_initial else MAX_MEMBER_ROWS):
             keys |= {u.name: key for u in members}
     return keys
@@ -239,9 +241,7 @@ def find_null_vectors(
     single, share = is_single_coefficient(layout), limit("direction.none", "share")
     is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
-    exact = (
-        null_space.find_null_rows(whitened) if include_exact else np.zeros((0, whitened.shape[1]))
-    )
+    exact = null_space.find_null_rows(whitened) if include_exact else np.zeros((0, len(whitened.T)))
     weak = null_space.find_weak_rows(whitened, exact, WEAK_INFORMATION, share)
     directions_by_kind: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):

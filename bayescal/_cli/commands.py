@@ -439,11 +439,11 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             readings = {next((s.output for s in record.sources if s.output), "output"): record}
         with create_result_folder(self.out) as folder:
             print_notes(request.flags_of(readings))
-            devices, written = request.split_records(readings), list[Path]()
+            records, written = request.split_records(readings), list[Path]()
             results = dict[str, Any]()
-            for i, name in enumerate(iterate_with_progress([*devices], "records")):
-                with deadline.shorten(1 / (len(devices) - i)):
-                    results[name] = bc.noise(devices[name], seed=self.seed)
+            for i, name in enumerate(iterate_with_progress([*records], "records")):
+                with deadline.shorten(1 / (len(records) - i)):
+                    results[name] = bc.noise(records[name], seed=self.seed)
 
             def draw(folder: Path) -> None:
                 from bayescal._report.plots import use_own_style

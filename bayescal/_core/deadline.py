@@ -85,7 +85,10 @@ current = _CURRENT.get
 
 @contextmanager
 def limit(seconds: float | None = None, words: str = "time limit of {:g} s") -> Iterator[Deadline]:
-    """Set a deadline unless an earlier one is set, `words` as its `limit_reason`; the outermost handles Ctrl-C."""
+    """Set a deadline in `seconds` (None: no new one) for the `with` block, unless an earlier one is set.
+
+    `words`, formatted with `seconds`, is its `limit_reason`. The outermost `limit` of the main thread handles Ctrl-C.
+    """
     deadline = Deadline() if current() is _NO_DEADLINE else current()
     if seconds is not None and (ends_at := time.monotonic() + seconds) < deadline.ends_at:
         deadline = replace(deadline, ends_at=ends_at, limit_reason=words.format(seconds))

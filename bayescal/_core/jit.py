@@ -36,7 +36,7 @@ def compile_lazily(
 
 
 def compiler_options(is_optimised: bool) -> dict[str, Any]:
-    """Return those compiler options that the installed XLA supports: others would raise an error."""
+    """Return XLA compiler options, backend optimisation off unless `is_optimised`, without those that XLA rejects."""
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
     options |= {} if is_optimised else {"xla_backend_optimization_level": 0}
     return {name: value for name, value in options.items() if _is_supported(name, value)}

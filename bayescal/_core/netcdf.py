@@ -1,7 +1,4 @@
-"""NetCDF-4 files of numbers and text, written and read in memory without xarray.
-
-Xarray and pandas take half a second to import, and xarray's writer also imports Dask if it is installed.
-"""
+"""NetCDF-4 files of numbers and text, written and read in memory without xarray, whose import takes half a second."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def silence() -> float:
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print warnings on stderr."""
+    """Print notes on stderr, one line each."""
     for note in notes:
         print(f"bayescal: note: {to_printable(note)}", file=sys.stderr, flush=True)
 
@@ -66,7 +66,7 @@ def iterate_with_progress(items: Sequence[Any], noun: str) -> Iterator[Any]:
 
 @contextmanager
 def track(operation: str, delay: float = FIRST_LINE_SECONDS) -> Iterator[None]:
-    """Print progress lines during the `with` block, the first after `delay` s, the next every `INTERVAL_SECONDS`."""
+    """Print progress lines during the `with` block, the first after `delay` s, then every `INTERVAL_SECONDS`."""
     start, end_event = time.monotonic(), threading.Event()
 
     def print_lines() -> None:

@@ -166,7 +166,7 @@ class ColumnReader:
         self.is_output = self.name == output_name(file.instrument)
 
     def read(self, cells: Cells) -> None:
-        """Check and convert the cells of the column; if it is empty and not required, ignore it with a flag."""
+        """Check and convert the cells of the column; if empty and not required, skip it and record this in `flags`."""
         is_label = self.column.unit is None
         is_empty = cells.values == "" if is_label else np.isnan(cells.values)
         if not self.column.required and not cells.invalid_texts and is_empty.all():

@@ -344,8 +344,8 @@ def find_jumps(values: np.ndarray, segments: Segments, min_jump: float = 0.0) ->
         levels = values[segment][starts]
         if len(levels) <= 2 * HALF_WIDTH:
             continue
-        padded = np.pad(levels, HALF_WIDTH, mode="reflect")
-        medians = np.median(sliding_window_view(padded, 2 * HALF_WIDTH + 1), axis=1)
+        padded_levels = np.pad(levels, HALF_WIDTH, mode="reflect")
+        medians = np.median(sliding_window_view(padded_levels, 2 * HALF_WIDTH + 1), axis=1)
         typical_change = float(np.quantile(np.abs(np.diff(levels)), TYPICAL_CHANGE_QUANTILE))
         tolerance = max(min_jump, MIN_JUMP_STEPS * step, MIN_JUMP_SD * estimate_noise_sd(levels))
         is_outlier = np.abs(levels - medians) > tolerance + HALF_WIDTH * typical_change

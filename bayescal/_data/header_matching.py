@@ -530,7 +530,7 @@ class MatchedFile:
 
     def add_further_columns(self) -> None:
         """Add the undeclared columns that have a unit, in base units; flag those that are ignored."""
-        if self.options.only:
+        if self.options.only_declared:
             return
         further_columns, without_unit, file = dict[str, Column](), list[str](), self.table.file
         for name, position in self.positions.items():

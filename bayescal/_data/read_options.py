@@ -63,7 +63,7 @@ class ReadOptions:
     Attributes:
         columns: bayescal's name → the file's, or several if files differ; reduced to one by `restrict_to`.
         local_field: magnitude of the field, in the unit of the instrument's column `magnitude`.
-        only: whether to ignore all columns that the instrument does not declare.
+        only_declared: whether to ignore all columns that the instrument does not declare.
         others: columns to ignore because they are outputs of other channels.
         remembered: files read before, whose assignments of headers apply again.
         begin: name of a file, or "" for files without dates → time of its first reading.
@@ -79,7 +79,7 @@ class ReadOptions:
     decimal: str = ""
     date_order: str = ""
     ignore: tuple[str, ...] = ()
-    only: bool = False
+    only_declared: bool = False
     others: frozenset[str] = frozenset()
     unwrap: Mapping[str, str] = field(default_factory=dict)
     remembered: tuple[Source, ...] = ()

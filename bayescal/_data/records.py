@@ -143,8 +143,8 @@ class Records:
     def is_set_in_steps(self, values: np.ndarray) -> bool:
         """Return whether a column is a piecewise constant setting: nearly all squared change is in isolated steps."""
         changes = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
-        padded = np.pad(changes, 1)
-        is_isolated = np.maximum(padded[:-2], padded[2:]) < MAX_NEIGHBOUR_RATIO * changes
+        previous_changes, next_changes = np.pad(changes, 1)[:-2], np.pad(changes, 1)[2:]
+        is_isolated = np.maximum(previous_changes, next_changes) < MAX_NEIGHBOUR_RATIO * changes
         total = float(np.sum(changes**2))
         return total > 0 and float(np.sum(changes[is_isolated] ** 2)) > MIN_STEP_SHARE * total
 

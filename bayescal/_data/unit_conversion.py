@@ -271,7 +271,7 @@ def _suggest_units(name: str) -> str:
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
-    """Return the only unit with a dimension of `kinds` ("any": all) that a text spells; None if none or several."""
+    """Return the unit, convertible to one of `kinds` ("any": any), that a text denotes; None if none or several."""
     if _has_dimension(text, kinds):
         return text
     if ANY in kinds:

@@ -211,7 +211,7 @@ class Density(NumericDensity):
             return (columns * weight[:, :, None]).transpose(0, 2, 1) @ columns
 
         shift = np.tile(self._mode_of_x - x, (len(vs), 1))
-        value, *likelihood_terms = evaluate(np.arange(len(vs)), shift)
+        objective, *likelihood_terms = evaluate(np.arange(len(vs)), shift)
         active = np.arange(len(vs)) if problem.size else np.zeros(0, dtype=int)
         for _ in range(MAX_NEWTON_STEPS):
             if not len(active):
@@ -221,30 +221,30 @@ class Density(NumericDensity):
             gradient = (
                 sd * (select(jacobian, active).transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0] - z
             )
-            retry, previous_value = np.arange(len(active)), value[active]
+            pending, previous_objective = np.arange(len(active)), objective[active]
             for weights in (curvature, weight):
-                rows = active[retry]
-                hessian = multiply(rows, weights[retry]) * sd[retry, :, None] * sd[retry, None, :]
+                rows, row_sd = active[pending], sd[pending]
+                hessian = multiply(rows, weights[pending]) * row_sd[:, :, None] * row_sd[:, None, :]
                 # An indefinite Hessian has no Cholesky factor: NaN, so that the step is rejected.
                 chol = cholesky(hessian + np.diag(prior.weight))
-                step = solve_tri(chol, solve_tri(chol, gradient[retry]), is_upper=True)
-                trial = evaluate(rows, shift[rows] + sd[retry] * step)
-                is_better = trial[0] <= value[rows]
+                step = solve_tri(chol, solve_tri(chol, gradient[pending]), is_upper=True)
+                trial = evaluate(rows, shift[rows] + row_sd * step)
+                is_better = trial[0] <= objective[rows]
                 accepted_rows = rows[is_better]
-                shift[accepted_rows] += (sd[retry] * step)[is_better]
-                for current, trial_values in zip((value, *likelihood_terms), trial, strict=True):
-                    current[accepted_rows] = trial_values[is_better]
-                retry = retry[~is_better]
-                if not len(retry):
+                shift[accepted_rows] += (row_sd * step)[is_better]
+                for current, new_values in zip((objective, *likelihood_terms), trial, strict=True):
+                    current[accepted_rows] = new_values[is_better]
+                pending = pending[~is_better]
+                if not len(pending):
                     break
-            active = active[previous_value - value[active] > NEWTON_TOLERANCE_NATS]
+            active = active[previous_objective - objective[active] > NEWTON_TOLERANCE_NATS]
         self._mode_of_x = x + shift[0]
         slope, curvature, _, z, logdet = likelihood_terms
         jtj = multiply(np.arange(len(vs)), curvature)
         jtr = (jacobian.transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0]
         # Expand rtr − 2·jtrᵀ(δ − m) + (δ − m)ᵀ·jtj·(δ − m) in powers of δ = x − x̂: the Gram matrix at δ = 0.
         jtj_shift = (jtj @ shift[:, :, None])[:, :, 0]
-        squares = value - np.sum(z**2, axis=1) + np.sum(shift * (2 * jtr + jtj_shift), axis=1)
+        squares = objective - np.sum(z**2, axis=1) + np.sum(shift * (2 * jtr + jtj_shift), axis=1)
         return Gram(jtj, jtr + jtj_shift, squares, logdet)
 
     def rss(self, hyper: Values, gram: Gram) -> float:

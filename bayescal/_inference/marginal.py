@@ -32,7 +32,7 @@ SAMPLING_STOPPED = (
 )
 NUTS_UNFINISHED = "Importance weights are unreliable ({}), and NUTS was not run to its end ({})."
 FEW_EFFECTIVE_DRAWS = "Only {:.0f} effective draws ({})."
-TOO_SHORT = "{:g} s were too short; give a longer time limit"
+TOO_SHORT = "the limit of {:g} s was too short; give a longer time limit"
 # Largest number of proposals if k̂ is acceptable but the effective sample size too small: NUTS would be slower.
 MAX_EXTENDED_PROPOSALS = 65_536
 
@@ -135,7 +135,7 @@ class Marginal(Method):
             layout=layout,
             draws=Draws.of(draws.x[indices], draws.v[indices]),
             mode=draws.mode,
-            verdict=trust.judge_weights(weights, k_hat, notes, draws.mode, reasons),
+            verdict=trust.assess_weights(weights, k_hat, notes, draws.mode, reasons),
             log_evidence=None if layout.is_improper else evidence,
         )
 
@@ -155,7 +155,7 @@ class Marginal(Method):
             layout=layout,
             draws=Draws.of(x, v),
             mode=mode,
-            verdict=trust.judge_chains(chains, "NUTS on whitened unknowns", notes),
+            verdict=trust.assess_chains(chains, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if has_evidence else None,
         )
 

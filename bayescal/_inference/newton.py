@@ -161,8 +161,8 @@ class NumericDensity:
     @property
     def next_guess(self) -> HessianGuess | None:
         """Return the latest point and curvature, as a first estimate of the Hessian of a similar density."""
-        last: tuple[np.ndarray, LocalModel] | None = self._last
-        return self._guess if last is None else HessianGuess(last[0], last[1].curvature)
+        previous: tuple[np.ndarray, LocalModel] | None = self._last
+        return self._guess if previous is None else HessianGuess(previous[0], previous[1].curvature)
 
     def value(self, v: Float[np.ndarray, "d"]) -> float:
         # Most line searches accept the first step: evaluate its gradient at once.
@@ -171,20 +171,21 @@ class NumericDensity:
 
     def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> LocalModel | None:
         """Return value, gradient and curvature at v, None if undefined; exact: cross terms by differences, not BFGS."""
-        last, guess = self._last, self.next_guess  # `last`: the latest point and its result
-        if last is not None and (self._exact or not exact) and np.array_equal(last[0], v):
-            return last[1]
+        previous, guess = self._last, self.next_guess  # `previous`: the latest point and its result
+        if previous is not None and (self._exact or not exact) and np.array_equal(previous[0], v):
+            return previous[1]
         scale = np.broadcast_to(self.scale, v.shape)
         steps = FIRST_STEP_PRIOR_SD * scale
         if guess is not None:
             curvatures = np.maximum(np.diag(guess.curvature) * scale**2, MIN_CURVATURE)
             steps = STEP_SD * scale / np.sqrt(curvatures)
         expansion, mask = None, np.False_ if self._guess is None else self._guess.reliable
-        if guess is not None and not exact and (np.all(mask) or (last and np.any(mask))):
+        if guess is not None and not exact and (np.all(mask) or (previous and np.any(mask))):
             expansion = self._expand_forward(v, FORWARD_RATIO * steps, np.diag(guess.curvature))
         expansion = expansion or self._expand_centrally(v, steps, exact)
         if guess is not None and expansion is not None and not exact:
-            curvature = _update_bfgs(guess.curvature, last, v, expansion, MIN_CURVATURE / scale**2)
+            floor = MIN_CURVATURE / scale**2
+            curvature = _update_bfgs(guess.curvature, previous, v, expansion, floor)
             expansion = expansion._replace(curvature=curvature)
         if expansion is not None:
             self._last, self._exact = (v.copy(), expansion), exact
@@ -252,7 +253,7 @@ class NumericDensity:
 
 def _update_bfgs(
     curvature: Float[np.ndarray, "d d"],
-    latest: tuple[np.ndarray, LocalModel] | None,
+    previous: tuple[np.ndarray, LocalModel] | None,
     v: Float[np.ndarray, "d"],
     local_model: LocalModel,
     floor: Float[np.ndarray, "d"],
@@ -262,9 +263,9 @@ def _update_bfgs(
     is_positive = (new_diag > floor) & (old_diagonal > 0)
     ratio = np.sqrt(np.where(is_positive, new_diag, 1.0) / np.where(is_positive, old_diagonal, 1.0))
     curvature = ratio[:, None] * curvature * ratio
-    if latest is None:
+    if previous is None:
         return curvature
-    step, y = v - latest[0], latest[1].gradient - local_model.gradient
+    step, y = v - previous[0], previous[1].gradient - local_model.gradient
     bs = curvature @ step
     sy, sbs = float(step @ y), float(step @ bs)
     if not sy > 1e-12 or not sbs > 1e-12:

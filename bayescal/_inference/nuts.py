@@ -62,7 +62,7 @@ class NUTS(Method):
         sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(chains.draws)
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         chains = chains._replace(draws=np.concatenate([x, v], axis=2))
-        verdict = trust.judge_chains(chains, "NUTS", ())
+        verdict = trust.assess_chains(chains, "NUTS", ())
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 

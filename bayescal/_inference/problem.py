@@ -23,7 +23,7 @@ from bayescal._model.composition import (
     linearise_output,
 )
 from bayescal._model.noise_law import Noise
-from bayescal._model.parameters import NONLINEAR, Layout, Unknown
+from bayescal._model.parameters import NONLINEAR_KINDS, Layout, Unknown
 from bayescal._model.prior import slope
 from bayescal._model.terms import PriorDeviations, Term, build_terms
 
@@ -85,7 +85,7 @@ class Problem:
         # A promoted coefficient in units of a learned standard deviation changes with it.
         group_sd_names = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds: list[str] = [h.kind for h in self.hypers]
-        is_nonlinear = (h.kind in NONLINEAR or h.name in group_sd_names for h in self.hypers)
+        is_nonlinear = (h.kind in NONLINEAR_KINDS or h.name in group_sd_names for h in self.hypers)
         self.nonlinear_phi: list[int] = [i for i, nonlinear in enumerate(is_nonlinear) if nonlinear]
         self.mean_of_x: Float[np.ndarray, "p"] = layout.mean_of_x
         self.weight_of_x: Float[np.ndarray, "p"] = layout.weight_of_x

@@ -251,8 +251,8 @@ class Record:
         latest = self._latest
         if latest is None or latest[0] != key:
             all_slots = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-            padded = ({n: self.pad(v) for n, v in arrays.items()} for arrays in (all_slots, shifts))
-            outputs = programs.differentiate(self._spec, self.padded, *padded)
+            padded_arrays = ({n: self.pad(v) for n, v in a.items()} for a in (all_slots, shifts))
+            outputs = programs.differentiate(self._spec, self.padded, *padded_arrays)
             self._latest = latest = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], outputs)
         return latest[1]
 

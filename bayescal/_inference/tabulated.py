@@ -97,11 +97,11 @@ class TabulatedDensity:
         self.origin = self._choose_origin()
 
     def _list_blocks(self, table: ColumnTable) -> list[EffectBlock]:
-        problem, effects = self.problem, dict[int, list[Term]]()
+        problem, terms_by_effect = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
-            effects.setdefault(id(t.effect), []).append(t)
+            terms_by_effect.setdefault(id(t.effect), []).append(t)
         blocks = []
-        for terms in effects.values():
+        for terms in terms_by_effect.values():
             names, fixed_values = terms[0].columns.names, problem.fixed_values
             fixed_shapes = tuple(fixed_values.get(n) for n in names)
             term_fields = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]

@@ -61,7 +61,7 @@ def select_k_hat(log_ratio: Float[np.ndarray, "s"], weights: Float[np.ndarray, "
     return MAX_K_HAT_NONLINEAR if is_nonlinear else MAX_K_HAT
 
 
-def judge_weights(
+def assess_weights(
     weights: Float[np.ndarray, "s"],
     k_hat: float,
     notes: tuple[str, ...],
@@ -76,7 +76,7 @@ def judge_weights(
     return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=ess)
 
 
-def judge_chains(chains: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
+def assess_chains(chains: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
     """Return the verdict on the convergence of NUTS chains: R-hat, effective sample size and divergences."""
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 

@@ -164,10 +164,7 @@ def linearise_output(
 
 
 def compute_input_variance(terms: Sequence[Term], linearisation: Linearisation) -> Any:
-    """Return the variance of each reading due to noise on inputs, to first order, output unit squared (…, n).
-
-    Source: JCGM 100:2008, 5.1.2.
-    """
+    """Return each reading's variance due to noise on inputs (…, n), output unit², to first order (JCGM 100, 5.1.2)."""
     sd = np.array([t.prior_sd for t in terms if t.place == "input"])
     return ((linearisation.inputs * sd) ** 2).sum(axis=-1)
 

@@ -350,7 +350,10 @@ class _EffectParser:
         unit = a.unit
         if unit is not None and unit.powers:
             if not isinstance(b.tree, float) or abs(b.tree) > 10:
-                raise self.make_error(b.start, f"{unit} needs a constant exponent from -10 to 10")
+                reason = (
+                    f"a quantity in {unit} can only be raised to a constant power from -10 to 10"
+                )
+                raise self.make_error(b.start, reason)
             unit = UNITY.times(unit, b.tree)
         elif b.unit is not None:
             unit = UNITY

@@ -72,11 +72,12 @@ class Instrument:
         title: description of the instrument in one line.
         columns: columns of a file of readings, "output" among them.
         slots: quantities that effects add to.
-        response: function of slots and frame that returns the expected output (n,), each from its reading's slots.
+        response: function of slots and frame that returns the expected output (n,); element i depends only on the
+            slots of reading i.
         effects: effects of the baseline model.
         candidates: further effects that a search, `discover`, may add.
-        nuisances: effects of the test that are added to every fit whose readings can test them, such as an unstated
-            local gravity; they contribute to the coefficients' uncertainty.
+        nuisances: effects of the test that are added to every fit whose readings can identify them, such as an
+            unstated local gravity; they contribute to the coefficients' uncertainty.
         noise: noise law of the baseline model.
         noise_laws: further laws that a search evaluates, besides those offered for every record (`offered`).
         nominal_scale: conversion of raw outputs (V, Hz) to the unit of the output.

@@ -28,7 +28,7 @@ from bayescal._model.static import static
 
 Place = Literal["x", "input", "phi", "fixed"]  # the vector that holds a coefficient, or none
 UnknownKind = Literal["coefficient", "noise", "group_sd", "shape", "promoted"]
-NONLINEAR: tuple[UnknownKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
+NONLINEAR_KINDS: tuple[UnknownKind, ...] = ("shape", "promoted")  # the Jacobian depends on them
 Levels = Mapping[str, Sequence[str]]  # group → labels of its members
 NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
@@ -195,7 +195,7 @@ class Layout:
 
     @cached_property
     def hypers(self) -> tuple[Unknown, ...]:
-        """Return the entries of φ in order: noise, group deviations, shapes, promoted coefficients."""
+        """Return the entries of φ in order: noise, group sds, shapes, promoted coefficients."""
         noise, fixed, unknowns = self.model.noise, dict(self.model.fixed), list[Unknown]()
         for name, prior in noise.parameters().items():
             unit = noise.unit(name, self.model.instrument.unit)
@@ -245,7 +245,7 @@ class Layout:
     @property
     def nonlinear_phi(self) -> list[int]:
         """Return the indices in φ of the entries that the Jacobian of the expected output depends on."""
-        return self.phi_indices(*NONLINEAR)
+        return self.phi_indices(*NONLINEAR_KINDS)
 
     def promote(self, *names: str) -> Layout:
         return replace(self, promoted=(*self.promoted, *names))

@@ -272,9 +272,10 @@ def build_sum(
     column: str = "",
     scatter: str = "",
 ) -> SummedNoise:
-    """Build a noise sum; correlation times are `step` to `span`, s, rounded to powers of two to share compilations.
+    """Build a sum of noise terms; correlation times range from `step` to `span`, s.
 
-    column: covariate of a tone's frequency. scatter: covariate of the white noise's standard deviation.
+    The range is rounded outwards to powers of two, so that sums share compiled programs. column: covariate of a tone's
+    frequency. scatter: covariate of the white noise's standard deviation.
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
     return SummedNoise(shortest, longest, terms, scale, scale, column, scatter)

@@ -96,7 +96,7 @@ def build_terms(
 
     A correction of a column with known coefficients (the temperature of a lagging body) is part of the other effects'
     column specifications, and not a term, if the response does not use the column; otherwise its slot is the column's
-    `PATH`. source: column source; None: no corrections. size_factors: effect → factor of its prior deviations.
+    `PATH`. source: column source; None: no corrections. size_factors: effect → factor of its prior sds.
     """
     correcting_blocks = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected_columns = tuple(dict.fromkeys(b.slot for b in correcting_blocks))
@@ -145,7 +145,7 @@ class PriorDeviations:
             self.weights_by_shape |= dict.fromkeys(names, (effect, index))
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
-        """Return the log of the weights of one shape's effect (p,): factors of prior deviations; 0 for others."""
+        """Return the log of the weights of one shape's effect (p,): factors of prior sds; 0 for others."""
         return np.log(np.maximum(self._evaluate_weights(name, hyper), 1e-300))
 
     def _evaluate_weights(
@@ -161,10 +161,10 @@ class PriorDeviations:
         if batch:
             hyper = {name: np.reshape(value, (-1, 1)) for name, value in hyper.items()}
         # A fixed or learned standard deviation per coefficient, times the factors of effects with weights.
-        deviations = self.fixed_sd
+        sd = self.fixed_sd
         for name, mask in self.learned_sd_masks.items():
-            deviations = xp.where(mask > 0, hyper[name], deviations)
+            sd = xp.where(mask > 0, hyper[name], sd)
         names = {effect.name: name for name, (effect, _) in self.weights_by_shape.items()}
         for name in names.values():
-            deviations = deviations * self._evaluate_weights(name, hyper, batch)
-        return xp.broadcast_to(deviations, (*batch, len(self.fixed_sd)))
+            sd = sd * self._evaluate_weights(name, hyper, batch)
+        return xp.broadcast_to(sd, (*batch, len(self.fixed_sd)))

@@ -390,8 +390,8 @@ def _list_undecided(chapter: Chapter) -> Iterator[str]:
     questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
     lead_names = [c["effect"] for c in _list_last_candidates(chapter) if c["kind"] == "lead"]
     questions += [f"whether {name} is missing, too" for name in lead_names if name not in in_model]
-    confounder_names = [(c, join_words(c.coefficients)) for c in confounders if not c.step]
-    questions += [f"which part of {names} is due to {c.column}" for c, names in confounder_names]
+    confounded_pairs = [(join_words(c.coefficients), c.column) for c in confounders if not c.step]
+    questions += [f"which part of {names} is due to {column}" for names, column in confounded_pairs]
     questions += [f"whether {c.column} was rounded or truncated" for c in confounders if c.step]
     if questions:
         yield f"Not decided: {'; '.join(dict.fromkeys(questions))}."

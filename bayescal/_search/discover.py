@@ -154,7 +154,7 @@ class Discovery(Printed):
         return sum(probabilities) if probabilities else None
 
     def _list_parts(self) -> list[str | ResultTable]:
-        """Return the summary of missing effects, and the table of candidates in order of probability."""
+        """Return the printed parts: summary, table of candidates by probability, collinear and untestable ones."""
         lines: list[str | ResultTable] = [wrap(claim) for claim in self.equivalent]
         lines += map(wrap, _describe_findings(self))
         if self.noise:
@@ -305,7 +305,7 @@ def restrict_causes(
     """Return readings with columns marked as no causes: `ignore`, and undeclared ones that given `covariates` omit."""
     if names := sorted({*ignore}.intersection(covariates or ())):
         raise InputError(
-            f"{', '.join(names)}: given in both ignore and covariates; remove it from one of them"
+            f"{', '.join(names)}: given in both ignore and covariates; remove each from one of them"
         )
     if covariates is not None:
         for name in covariates:

@@ -48,9 +48,9 @@ def list_laws(model: Model, frame: Frame) -> dict[str, Noise]:
 
 
 def log_prior(laws: Mapping[str, Noise], name: str) -> float:
-    """Return a law's log prior odds against the model's own law, which has probability one half.
+    """Return the log prior odds of a law relative to the model's own law, whose prior probability is one half.
 
-    All other kinds of law share the other half equally, and the laws of one kind share its part.
+    The other half is divided equally among the other kinds of law, and within a kind among its laws.
     """
     if name not in laws:
         return 0.0

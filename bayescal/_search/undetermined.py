@@ -120,7 +120,11 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
 def _list_poses(
     model: Model, vector: Vector, readings: Measurements
 ) -> tuple[list[AddedPose], Measurements]:
-    """Return the poses that may be added, and their readings, in all other columns equal to the first reading."""
+    """Return the poses that may be added, and simulated readings of them.
+
+    Columns that the pose does not set are copied from the first reading; if the readings are of a magnitude, from the
+    first one of unknown direction.
+    """
     ends: list[float | None] = [None]
     if any("temperature" in effect.columns for effect in model.effects):
         low, high = float(readings["temperature"].min()), float(readings["temperature"].max())

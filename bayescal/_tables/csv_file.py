@@ -208,7 +208,8 @@ def _read_header(text: CsvText) -> None:
     fields = line.split(separator), line.split()
     if any(not any(map(math.isnan, map(to_number, texts))) for texts in fields):
         cure = "Add a row of column names, such as 'time [s],temperature [degC],output [deg/s]'"
-        raise unusable(text.file, f"has no header: its first row, row {row}, is numbers", cure)
+        fault = f"has no header: its first row, row {row}, contains only numbers"
+        raise unusable(text.file, fault, cure)
     text.header = text.split(line, row, position=", in the header")
     if header and (header.last > header.first or len(header.names) != len(text.header)):
         text.header = header.names

@@ -122,8 +122,8 @@ def _sheet_to_text(sheet: Any, file: str, max_bytes: int) -> bytes:
         count += sum(map(bool, rows[-1]))
         check_size(file, count, 1, max_bytes)
     width = max((i + 1 for row in rows for i, cell in enumerate(row) if cell), default=0)
-    padded = ([*row, *[""] * width][:width] if any(row) else [] for row in rows)
-    return "".join("\t".join(f'"{cell}"' for cell in row) + "\n" for row in padded).encode()
+    padded_rows = ([*row, *[""] * width][:width] if any(row) else [] for row in rows)
+    return "".join("\t".join(f'"{cell}"' for cell in row) + "\n" for row in padded_rows).encode()
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:

@@ -132,10 +132,7 @@ class Header:
 
     @classmethod
     def parse(cls, raw: str, unit: str | None = None) -> Header:
-        """Parse a header `name [unit]`; `unit` applies if the text has none.
-
-        Line breaks and control characters are replaced by spaces.
-        """
+        """Parse a header `name [unit]`, with `unit` if it states none; control characters are replaced by spaces."""
         raw = to_one_line(raw)
         name, bracket, unit_text = raw.rpartition("[")
         if bracket and name.strip() and unit_text.endswith("]") and unit_text.count("]") == 1:

@@ -51,8 +51,10 @@ def refuse_hdf5(hdf5: Any, file_name: str, size: int) -> None:
                 fault = f"is incomplete: {path} is a link, or its numbers are in another file"
                 raise unusable(file_name, fault, "Save the readings in the file itself")
             address = h5o.get_info(node.id).addr
-            if len(visited) > _MAX_OBJECTS or (address in visited and not is_array):
-                fault = f"has the group {path} twice, or over {_MAX_OBJECTS:,} arrays and groups"
+            is_repeated = address in visited and not is_array
+            if is_repeated or len(visited) > _MAX_OBJECTS:
+                fault = f"contains more than {_MAX_OBJECTS:,} arrays and groups"
+                fault = f"contains the group {path} twice (by a link)" if is_repeated else fault
                 raise unusable(file_name, fault, _CSV_ADVICE)
             visited.add(address)
             total_size += int(node.size or 0) * node.dtype.itemsize if is_array else 0

@@ -109,8 +109,8 @@ def compensate_file(
     ignored = ("ignore", "local_field")  # options without effect on compensation
     read_options = {n: value for n, value in how.items() if value is not None and n not in ignored}
     read_options |= {"remembered": compensator.calibration.readings.sources, "epoch": about.epoch}
-    how = {"local_gravity": local_gravity, "missing": missing, "only": True, **read_options}
-    options = ReadOptions.of(expected, **how)
+    how = {"local_gravity": local_gravity, "missing": missing, **read_options}
+    options = ReadOptions.of(expected, only_declared=True, **how)
     with replace_user_file(out) as partial_path:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)

@@ -123,7 +123,7 @@ def list_needed_inputs(equation: OperatingEquation) -> list[Input]:
         is_held = bool(calibration.reference.get(name_hold_flag(lag.column), 0.0))
         silence = None if is_held else float(frame.max_gap)
         lag_fields = {"tau": lag.tau, "silence": silence, "held": is_held}
-        meaning = f"temperature of a body with time constant {lag.tau!r} s minus {lag.column}; 0 at the start"
+        meaning = f"{lag.column}, low-pass filtered (time constant {lag.tau!r} s), minus {lag.column}; 0 at the start"
         add_input(lag.name, "delta_degC", meaning, "lag", lag.column, **lag_fields)
         meaning = (
             f"derivative of {lag.name} with respect to its time constant, to propagate the uncertainty of that "

@@ -337,8 +337,8 @@ class OperatingEquation:
     def moments(self, draws: int) -> PosteriorMoments:
         """Return at most `draws` evenly thinned draws of θ, with mean and covariance of all draws.
 
-        The covariance of measured unknowns is multiplied by `form_factor`². Deviations of new group members are drawn
-        uncorrelated with them, in the thinned draws as well, so that results from draws and from moments agree.
+        The covariance of unknowns estimated in the calibration is multiplied by `form_factor`². Deviations of new group
+        members are uncorrelated with these, also in thinned draws, so that results from draws and from moments agree.
         """
         calibration, unknowns = self.calibration, self.unknowns
         (_, v), problem = calibration.draws(), calibration.problem

@@ -100,11 +100,11 @@ def moves(
     Raises:
         InputError: no column `time`, no static segments or fewer than two common poses, moves that are inconsistent
             with the poses or whose fit does not converge, or too many outlying moves.
-        ModelError: the instrument's outputs are not rates.
+        ModelError: the instrument does not have three outputs in a unit of rate.
     """
     if instrument.vector is None or not ws.same_dimension(instrument.unit, "rad/s"):
         raise bc.ModelError(
-            f"instrument {instrument.name!r}: moves calibrate gyroscopes, but its output is in [{instrument.unit}]"
+            f"instrument {instrument.name!r} is not a triad of gyroscopes; moves calibrate no other instrument"
         )
     unit = float(np.asarray(ws.convert(np.ones(1), instrument.unit, "rad/s"))[0])
     f_runs = split_runs(forces, correction.outputs, min_duration)

@@ -58,7 +58,7 @@ class Certificate:
     file: str = "the certificate"  # name of its file, for messages
 
     def entries(self, section: str) -> list[dict[str, str]]:
-        """Return a section's entries as texts: one, several of a list, or none if it is not stated."""
+        """Return a section as a list of key → text: one entry, one per item of a list, or none if it is absent."""
         section_data = self.data.get(section, [])
         entries = section_data if isinstance(section_data, list) else [section_data]
         return [{key: str(value).strip() for key, value in entry.items()} for entry in entries]

@@ -295,7 +295,7 @@ def compute_global_risks(
     covariance = np.full((2, 2), sd**2) + np.diag([0.0, uncertainty**2])
 
     def compute_probability(items: Limits, estimates: Limits) -> float:
-        """Return the probability that an item is in `items` and its estimate in `estimates`."""
+        """Return the probability that an item's true value is within `items` and its estimate within `estimates`."""
         bounds = np.transpose([items, estimates])
         distribution = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
         return float(distribution.cdf(bounds[1], lower_limit=bounds[0]))
@@ -534,7 +534,7 @@ def _check_range(compensator: bc.Compensator, name: str, low: float, high: float
         return []
     range_text = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
     return [
-        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not at {range_text}"
+        f"the calibration covers {name} from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not {range_text}"
     ]
 
 

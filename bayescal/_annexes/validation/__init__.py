@@ -1,1 +1,1 @@
-"""Validation of an installation: clauses of standards, computed and compared with certified values."""
+"""Validation of an installation: examples of standards and NIST data sets, compared with certified values."""

@@ -28,7 +28,7 @@ WARM_UP_S = 20 * MINUTE  # s, time constant of the warm-up
 
 
 class Conditions:
-    """True conditions at each reading, (n,).
+    """Conditions at each reading, (n,); the laws depend on the measured temperature.
 
     Attributes:
         angle: set angle θ, rad.

@@ -100,7 +100,7 @@ THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer 
 
 
 def _add_powers(*orders: str, include_error: bool = False) -> bc.Model:
-    """Return the baseline plus terms such as "quadratic", optionally with thermometer errors (errors in variables)."""
+    """Return the baseline plus bias terms in powers of temperature (`orders`); `include_error`: errors in variables."""
     model = INSTRUMENT.baseline()
     for order in orders:
         model = model + f"bias.temperature_{order}"

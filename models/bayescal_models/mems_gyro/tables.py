@@ -1,4 +1,4 @@
-"""Path of the table of zero-rate output against temperature of source 1."""
+"""Path of source 1's table of zero-rate output against temperature."""
 
 from pathlib import Path
 

@@ -3,7 +3,7 @@
     Campaign()                                    # both kinds, −40 … +70 °C
     Campaign(attitudes=())                        # soaked points only
     Campaign(repeats=0, ramp_speeds=(1.0, 3.0))   # ramps only, at two rates
-    Campaign(device="beams")                      # a device whose errors are no polynomials
+    Campaign(device="beams")                      # a device with non-polynomial errors
 
 Source: source 2 (soak, four-position tumble, two repeats or more); ranges, times and sizes are assumed.
 """
@@ -46,7 +46,7 @@ class Campaign:
         air_time: first-order time constant of the chamber's air, s.
         device: "cubic": bias and scale factor are cubic polynomials of the head's temperature, so that the baseline
             is the true model unless effects are hidden; "beams": two beams with lags and different temperature
-            coefficients, and a circuit, whose errors are no polynomials.
+            coefficients, and a circuit, whose errors are not polynomials.
         noise: standard deviation of the white noise of a reading, µg.
         noise_law: "white", or "ornstein_uhlenbeck": plus correlated noise of equal variance and time constant 300 s.
         thermometer_noise: standard deviation of the white error of each thermometer, °C.

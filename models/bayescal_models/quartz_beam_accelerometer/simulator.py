@@ -82,7 +82,7 @@ def compute_device_truth(test: Conditions, coefficients: Mapping[str, float]) ->
 
 
 def _compute_frequency(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
-    """Return a beam's relative frequency change by a temperature change, °C; coefficients per °C, °C² and °C³."""
+    """Return a beam's relative frequency change for a temperature change, °C; coefficients in 1/°C, 1/°C², 1/°C³."""
     return change * (tempco + change * (curvature + change * cubic))
 
 

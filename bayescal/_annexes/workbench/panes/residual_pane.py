@@ -99,11 +99,11 @@ class ResidualsOfState:
         rms_text = f"Residuals: {self.check.rms:.3g} {self.unit} rms; noise: {self.check.noise:.3g} {self.unit}. "
         if entry.log_bayes_factor < 0:
             return rms_text + "No log Bayes factor for a dependence on a column is above zero."
-        sign_word = "positive" if entry.worst.size > 0 else "negative"
+        region = ws.describe_region(entry.to_json_data(self.check.unit))
         return (
-            f"{rms_text}Against {entry.covariate} they are systematically {sign_word}: {entry.worst.size:+.3g} "
-            f"{self.unit} on average, {ws.describe_region(entry.to_json_data(self.check.unit))} "
-            f"(z = {entry.worst.z:+.1f}; log Bayes factor {entry.log_bayes_factor:.1f})."
+            f"{rms_text}In the worst region of the covariate {entry.covariate}, {region}, the mean residual is "
+            f"{entry.worst.size:+.3g} {self.unit} (z = {entry.worst.z:+.1f}; log Bayes factor "
+            f"{entry.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
 
