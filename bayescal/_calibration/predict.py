@@ -38,8 +38,8 @@ class Prediction:
     Attributes:
         mean: posterior mean of the expected output, output unit, (n,).
         model_sd: standard uncertainty of the expected output. It combines that of the coefficients, multiplied by the
-            calibration's `form_factor`, noise on inputs and, for unseen groups, the between-group standard deviations
-            of effects in the model and of plausible effects that it lacks (`unfound_spreads`).
+            calibration's `form_factor`, noise on inputs and, for members unseen in the fit, the between-group standard
+            deviations of effects in the model and of plausible effects that it lacks (`unfound_spreads`).
         sd: standard uncertainty of a reading, including its noise.
         residual: output − mean.
     """

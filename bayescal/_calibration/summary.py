@@ -76,7 +76,7 @@ def is_skewed(mean: float, sd: float, low: float, high: float) -> bool:
 def format_rows(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> dict[str, list[str]]:
-    """Return printed rows (name, value, unit, interval, contraction) by name; one for each curve or large group."""
+    """Return printed rows (name, value, unit, interval, contraction) by name; a curve or a large group has one row."""
     rows: dict[str, list[str]] = {}
     coefficients, hyperparameters = summary(calibration)
     # Coefficients of an unknown dependence describe a curve together.
@@ -136,7 +136,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
     A row has name, effect, unit, mean, sd, interval95, contraction, the inclusion `probability` of the effect, and
-    `conditional`: mean, sd and interval95 conditional on inclusion. All values of a hyperparameter are conditional.
+    `given`: mean, sd and interval95 conditional on inclusion. All values of a hyperparameter are conditional.
     Contraction is 1 − (posterior variance)/(prior variance); None for flat priors and constant draws.
     """
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()

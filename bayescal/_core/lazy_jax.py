@@ -90,7 +90,7 @@ class _LazyModule:
 
 
 class _JaxFinder(MetaPathFinder):
-    """Import finder that calls `_set_up` once JAX is imported."""
+    """Meta-path finder that configures JAX and calls the pending callbacks once JAX is imported."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
         if fullname != "jax":

@@ -500,8 +500,8 @@ def _align_time_origins(parts: Sequence[ConvertedColumns]) -> float | None:
     file_with, file_without = _find_first_files(files, [part.origin is not None for part in files])
     if file_without:
         raise InputError(
-            f"{file_with!r} has dates in its column 'time', {file_without!r} has none: give its first date, "
-            f"--begin '{file_without}=2026-05-13 10:14:20', or read the files separately"
+            f"{file_with!r} has dates in its column 'time', but {file_without!r} has none: give the date of the first "
+            f"reading of the latter, --begin '{file_without}=2026-05-13 10:14:20', or read the files separately"
         )
     for part, origin in zip(files, origins, strict=True):
         part.values["time"] = np.round(part.values["time"] + (origin - min(origins)), 6)

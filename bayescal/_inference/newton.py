@@ -237,7 +237,7 @@ class NumericDensity:
         return None
 
     def _fill_hessian(self, v: np.ndarray, diagonal: Float[np.ndarray, "d"]) -> np.ndarray:
-        """Return a Hessian with this diagonal and cross terms by a similar density's correlations; others are NaN."""
+        """Return a Hessian with this diagonal; other terms by the first estimate's correlations, NaN if unreliable."""
         hessian, guess = np.full((len(v), len(v)), np.nan), self._guess
         if guess is not None:
             scale = np.sqrt(np.maximum(np.diag(guess.curvature), np.finfo(float).tiny))

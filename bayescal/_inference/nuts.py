@@ -30,7 +30,7 @@ from bayescal._model.parameters import Layout, bind
 
 
 class NUTS(Method):
-    """Method that runs NumPyro's NUTS on all unknowns, non-centred for groups with an estimated standard deviation.
+    """Method that runs NumPyro's NUTS on all unknowns, non-centred for coefficients with a proper prior.
 
     Attributes:
         warmup, draws: iterations of each chain.
@@ -121,8 +121,8 @@ def to_numpyro_distribution(prior: priors.Normal | priors.FlatLine | priors.Posi
 def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], None]:
     """Return a model on its readings as a NumPyro program, a function of the output, for extension by the user.
 
-    Its sites are all unknowns by name in their reported units, group coefficients as `name.standard` in units of their
-    between-group standard deviation; `numpyro.infer.MCMC(NUTS(program)).run(key, readings["output"])` samples it.
+    All coefficients with a proper prior are non-centred; see `build_program` for the sites of the program.
+    `numpyro.infer.MCMC(NUTS(program)).run(key, readings["output"])` samples it.
 
     Raises:
         ModelError: readings lack a column, or have too few rows for the coefficients with a flat prior.
@@ -133,10 +133,11 @@ def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], N
 
 
 def build_program(layout: Layout, frame: Frame) -> Callable:
-    """Return the model as a NumPyro program, a function of the output; non-centred where a group sd is estimated.
+    """Return the model as a NumPyro program, a function of the output; coefficients of proper prior are non-centred.
 
-    Its sites are all unknowns by name in their reported units (group coefficients as `name.standard`, in units of their
-    standard deviation), the deterministic vectors `x` and `v`, and the likelihood as a factor.
+    Its sites are hyper-parameters and coefficients with a flat prior (less their origin), by name in their units; the
+    deviation of each other coefficient from its prior mean in prior standard deviations (of a group: the between-group
+    one), as `name.standard`; the deterministic vectors `x` and `v`; and the likelihood as a factor.
     """
     import numpyro
     import numpyro.distributions as dist

@@ -202,7 +202,7 @@ class _EffectParser:
         self.columns = self._match_columns()
         if unused_names := sorted(set(self.definitions) - set(self.first_positions)):
             raise InputError(
-                f"effect {self.name!r}: {', '.join(unused_names)} is defined but not used in {self.text!r}"
+                f"effect {self.name!r}: not used in {self.text!r}, though defined: {', '.join(unused_names)}"
             )
         unknowns = set(self.first_positions) - set(self.columns)
         nonlinear_names = {name for _, name in self.find_names(*_find_nonlinear(tree))} & unknowns

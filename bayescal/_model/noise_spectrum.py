@@ -46,7 +46,7 @@ def compute_eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Eigenvalues:
 
 
 def transform_end(n: int, sign: int) -> Float[np.ndarray, "n"]:
-    """Return the cosine transform of e₊ (sign 1) or e₋ (sign −1) of a run of n readings."""
+    """Return the orthonormal cosine transform (DCT-II) of (e₁ + sign·eₙ)/√2, the end vector of a run of n readings."""
     k = np.arange(n)
     first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # transform of e₁; eₙ: times (−1)ᵏ
     first[0] = math.sqrt(1 / n)

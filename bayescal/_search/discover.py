@@ -86,8 +86,8 @@ class Discovery(Printed):
         unstated: why `nothing_missing` is None; empty if it is stated.
         unnamed: substantial unnamed effects in the model, which describe a missing effect that is not a candidate.
         off_scale: claims on candidates a million times smaller or larger than the noise at their plausible size.
-        rivals: effects to distinguish by another experiment: members of the first finding, and leads if it has only
-            one member; without a finding, the leads.
+        rivals: effects to distinguish by another experiment: members of the first finding, and leads (effects of
+            probability 0.2 to 0.95) if it has only one member; without a finding, the leads.
         latent: effects added to the model because these readings cannot distinguish them from others in it.
         equivalent: claims on sets of effects that these readings cannot distinguish, those of the model first.
     """
@@ -236,7 +236,7 @@ def discover(
 def find_missing(
     library: Library, structure: Structure, untestable: Sequence[Candidate], stopped: str
 ) -> Discovery:
-    """Find the effects missing from a structure; if time runs out, without computing scores."""
+    """Find the effects missing from a structure; without scores if these take more than half of the remaining time."""
     with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2) as limit:
         limit.raise_if_over()
         return summarise_discovery(library, structure, untestable, stopped)

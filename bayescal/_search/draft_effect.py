@@ -56,8 +56,8 @@ def draft_effect(calibration: Calibration, name: str) -> str:
 import bayescal as bc
 
 
-def {word}(r):  # the instrument's columns in its units, undeclared ones in base units, ratios as plain numbers
-    x = ({value} - {0.5 * (low + high):.6g}) / {high - low:.6g}  # −½ … ½ over the range seen
+def {word}(r):  # the instrument's columns in its units, undeclared ones in SI base units, ratios dimensionless
+    x = ({value} - {0.5 * (low + high):.6g}) / {high - low:.6g}  # −½ … ½ over the fitted range
     return {basis}
 
 

@@ -101,7 +101,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Gate:
-    """Result of the acceptance checks of a model: whether it is fit for use, and the reasons against it."""
+    """Outcome of a model's acceptance checks: whether it is fit for use, and why or why not."""
 
     ok: bool
     reason: str

@@ -96,7 +96,7 @@ class EvaluatedStructure:
 
     @property
     def phi(self) -> FoundMode:
-        """Return shapes, noise parameters and spreads at the mode, by name."""
+        """Return shape parameters, noise parameters and between-group standard deviations at the mode, by name."""
         return FoundMode(self.problem, self.mode)
 
     @property

@@ -218,7 +218,7 @@ def _read_header(text: CsvText) -> None:
     text.header = _append_units(text.header, _find_labview_units(rows_above))
     text.first_row, text.offset, text.header_row = last_row + 1, end_offset, row
     if rows_above:
-        text.notes.append(f"its header is row {row}; the rows above are ignored")
+        text.notes.append(f"its header is row {row}; the rows above are not read as data")
     if text.first_row - row > 1:
         text.notes.append(f"its units are read from row {row + 1}")
 

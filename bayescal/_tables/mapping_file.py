@@ -40,7 +40,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
     """Write a mapping without its empty entries; raise InputError if the file cannot be written."""
     scalars = [f"{n} = {_quote(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
-    lines = ["# How the columns of these files are read: bayescal … --mapping FILE", *scalars]
+    lines = ["# Column mapping; to read files with it: bayescal … --mapping FILE", *scalars]
     for name, table in mapping.items():
         if table and isinstance(table, Mapping):
             lines += ["", f"[{name}]", *(f"{_quote(k)} = {_quote(v)}" for k, v in table.items())]

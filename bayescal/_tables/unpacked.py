@@ -62,14 +62,14 @@ def refuse_hdf5(hdf5: Any, file_name: str, size: int) -> None:
     refuse_unpacked(file_name, size, total_size, ARRAYS)
 
 
-# Elements of a MATLAB file up to 7.2, and classes of arrays that contain others: cells, structures, objects, functions,
-# opaque objects ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
+# Elements of a MAT-file up to version 7.2; classes of arrays that contain others: cells, structures, objects,
+# functions, opaque objects ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
 _COMPRESSED, _CONTAINER_CLASSES, _FUNCTION = 15, b"[\x01\x02\x03\x10\x11]", 16
 _MAX_CONTAINERS = 2000  # in a file, since some thousands exhaust the stack of the recursive reader
 
 
 def refuse_matlab(path: Path, file_name: str) -> None:
-    """Raise InputError if a MATLAB file up to 7.2 is too large when unpacked, or has too many containers."""
+    """Raise InputError if a MAT-file of version ≤ 7.2 is too large decompressed, or has too many cells and structures."""
     size, total_size, container_count = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
         header = handle.read(128)

@@ -15,7 +15,7 @@ SD_PPM = 1530.0  # relative standard uncertainty
 ASSUMED_GRAVITY = bc.Column(
     "assumed_gravity",
     "1",
-    "1 where the output was divided by an unstated local gravity",
+    "1 where the output was converted with an assumed local gravity, 0 elsewhere",
     required=False,
     low=0.0,
     high=1.0,

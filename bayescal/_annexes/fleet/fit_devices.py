@@ -162,7 +162,7 @@ def _stack(arrays: Sequence[Any]) -> Any:
 def _bind_jointly(
     model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
 ) -> ws.Problem | None:
-    """Bind a model to several devices' readings jointly; return None if no closed form exists or the models differ."""
+    """Bind a model to several devices' readings jointly; return None without a closed form, or if Jacobians differ."""
     layout = ws.bind(model, first, reference=frames[0].reference)[0]
     has_fixed_priors = all(
         b.place != "input" and b.coefficient.per is None and not b.coefficient.flat
@@ -181,7 +181,7 @@ def _bind_jointly(
             for f in (frame, frames[0])
         )
         if single_problem.is_affine:
-            # A basis may depend on all readings in its frame: then the Jacobians differ.
+            # A basis may depend on all readings in its frame: then a device alone has another Jacobian.
             jacobian, single_jacobian = _linearise(problem)[1][0], _linearise(single_problem)[1]
             atol = JACOBIAN_RTOL * np.max(np.abs(single_jacobian))
             return problem if np.allclose(jacobian, single_jacobian, JACOBIAN_RTOL, atol) else None

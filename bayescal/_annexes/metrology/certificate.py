@@ -105,8 +105,8 @@ def read_certificate(path: str | Path) -> Certificate:
     """Read certificate data from a TOML file.
 
     Raises:
-        InputError: the file does not exist, is not TOML or is empty, or a key is unknown or its value is not the
-            expected text or date; the message names section and key.
+        InputError: the file does not exist, is empty or is not TOML; a key is unknown; a value is not the expected text
+            or date; or the calibration ends before it begins. The message names section and key.
     """
     path = Path(path)
     data = ws.read_toml(path, CertificateStatement, f"{str(path)!r}", REMEDY)

@@ -186,7 +186,7 @@ def simulate_shared_disturbance(rng: np.random.Generator, time: Array) -> Array:
 
 
 def simulate_departures(rng: np.random.Generator, time: Array, count: int) -> Array:
-    """Simulate a disturbance for each device, (count, times): offset, transient and oscillation, of rms about 1."""
+    """Simulate each device's departure from the shared disturbance, (count, n): offset, transient, wave; rms ≈ 1."""
     records = []
     for _ in range(count):
         offset, transient_size, wave_size = rng.standard_normal(3) / np.sqrt(3.0)
