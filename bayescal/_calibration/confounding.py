@@ -62,23 +62,23 @@ class Confounder(NamedTuple):
 
 
 def find_confounders(
-    linear: LinearModel,
+    linear_model: LinearModel,
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
     """Find unmodelled or rounded columns that increase a coefficient's standard uncertainty by a fifth or more."""
-    layout, sd = linear.problem.layout, linear.sd
+    layout, sd, x = linear_model.problem.layout, linear_model.sd, linear_model.mode.x
     indices = np.flatnonzero(is_single_coefficient(layout))
     if not len(indices):
         return ()
-    z = (linear.mode.x - linear.problem.mean_of_x)[indices] / np.where(sd > 0, sd, 1.0)[indices]
-    amplitude = AMPLITUDE_SHARE * float(np.std(linear.nuisance[:, indices] @ z))
+    z = (x - linear_model.problem.mean_of_x)[indices] / np.where(sd > 0, sd, 1.0)[indices]
+    amplitude = AMPLITUDE_SHARE * float(np.std(linear_model.nuisance[:, indices] @ z))
     # An unmodelled effect enters the first slot (term of the equation) in the output's unit, or that of each axis.
     instrument, vector = layout.model.instrument, layout.model.instrument.vector
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]
     slots = slots[:1] if vector is None else [n for n in slots if n not in vector.rig]
     candidates = [
-        (name, amplitude * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
+        (name, amplitude * (values - values.mean()) / values.std() * linear_model.slopes[slot], 0.0)
         for name, values in columns.items()
         for slot in slots
     ]
@@ -86,16 +86,16 @@ def find_confounders(
     slices, confounders = {b.name: b.x_slice for b in layout.x_blocks}, list[Confounder]()
     for name, values, step in candidates:
         # The whitened, scaled column a, its projection P·a on the model's columns, and K = |a − P·a|².
-        column = linear.whiten(values[:, None])[:, 0]
-        projection = linear.project_on_nuisance(column[:, None])[:, 0]
+        column = linear_model.whiten(values[:, None])[:, 0]
+        projection = linear_model.project_on_nuisance(column[:, None])[:, 0]
         norm2 = float(column @ column)
         remainder = max(norm2 - float(projection @ projection), 0.0)
         # Log Bayes factor of a standard normal coefficient, u = aᵀr: ½·u²/(1 + K) − ½·log(1 + K).
-        score, ratio = float(column @ linear.white_conditional), 1 + remainder
+        score, ratio = float(column @ linear_model.white_conditional), 1 + remainder
         probability = 1.0 if step else float(expit(0.5 * (score**2 / ratio - math.log(ratio))))
         second_moment = probability * (1 / ratio + (score / ratio) ** 2)
-        shifts = math.sqrt(second_moment) * find_shifts(linear, column[:, None])[:, 0]
-        if np.any(is_widened := mask_widened(linear, shifts)):
+        shifts = math.sqrt(second_moment) * find_shifts(linear_model, column[:, None])[:, 0]
+        if np.any(is_widened := mask_widened(linear_model, shifts)):
             shares = {n: shifts[part].tolist() for n, part in slices.items() if shifts[part].any()}
             widened_names = [n for n, part in slices.items() if is_widened[part].any()]
             confounders.append(Confounder(name, widened_names, remainder / norm2, shares, step))
@@ -113,18 +113,18 @@ def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
     return np.repeat(np.array(is_single, dtype=bool), [b.size for b in layout.x_blocks])
 
 
-def find_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """Return the shift of the posterior mean of x (p, k) caused by adding each whitened column with coefficient one."""
-    p = linear.problem.layout.size
-    return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)
+def find_shifts(linear_model: LinearModel, columns: np.ndarray) -> Float[np.ndarray, "p k"]:
+    """Return the shift of the posterior mean of x caused by adding each whitened column (n, k), of coefficient one."""
+    p, projections = linear_model.problem.layout.size, linear_model.project_on_nuisance(columns)
+    return -(linear_model.root[:p] * linear_model.sd[:p, None]) @ projections
 
 
-def mask_widened(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
-    """Mask the single coefficients whose standard uncertainty grows by a fifth or more."""
-    p = linear.problem.layout.size
-    sd = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
+def mask_widened(linear_model: LinearModel, added_sd: np.ndarray) -> Bool[np.ndarray, "p"]:
+    """Mask the single coefficients whose standard uncertainty grows by a fifth or more with `added_sd` (p,) added."""
+    p = linear_model.problem.layout.size
+    sd = np.linalg.norm(linear_model.root[:p] * linear_model.sd[:p, None], axis=1)
     is_wider = np.hypot(added_sd, sd) > (1 + limit("direction.confounded", "widening")) * sd
-    return is_single_coefficient(linear.problem.layout) & is_wider
+    return is_single_coefficient(linear_model.problem.layout) & is_wider
 
 
 def find_unmodelled_columns(

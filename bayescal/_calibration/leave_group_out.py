@@ -155,8 +155,7 @@ def _compute_p_value(squares: float, spectrum: np.ndarray, readings: int, groups
     """
     # Relative to Σλ, whose square may overflow.
     trace = float(spectrum.sum())
-    spectrum_dof = 1 / float(np.sum((spectrum / trace) ** 2))
-    noise_share = len(spectrum) / trace
+    spectrum_dof, noise_share = 1 / float(np.sum((spectrum / trace) ** 2)), len(spectrum) / trace
     estimate_dof = 1 / (noise_share**2 / readings + (1 - noise_share) ** 2 / max(groups - 1, 1))
     return float(fdtrc(spectrum_dof, estimate_dof, squares / trace))
 

@@ -296,7 +296,7 @@ class RestNoise(NamedTuple):
         names = (f"noise.correlated{k + 1}" for k in range(self.model.terms.count("correlated")))
         return [(parameters[f"{name}.size"], parameters[f"{name}.time"]) for name in names]
 
-    def density(self, step: float) -> Float[np.ndarray, "d"]:
+    def noise_density(self, step: float) -> Float[np.ndarray, "d"]:
         """Return N at each draw, output unit times √s, of readings `step` s apart.
 
         N includes white noise, averaged white noise and Ornstein–Uhlenbeck processes of up to three steps, which have
@@ -623,8 +623,8 @@ def _impute_run(
     design = np.column_stack([np.ones(n), *temperatures])
     mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
     terms = model.spectrum(parameters, step, compute_eigenvalues(n, np.arange(n)))
-    density = parameters[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
-    weight = np.append(0.0, 1 / density[0, 1:])
+    spectrum = parameters[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    weight = np.append(0.0, 1 / spectrum[0, 1:])
 
     def multiply(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
         return np.asarray(idct(weight * dct(x, norm="ortho"), norm="ortho"))[m]
@@ -733,7 +733,7 @@ def _find_filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]
         terms = {*noise.model.terms}
         quantisation = noise.draws.get("noise.quantisation", 0.0) / step
         # Quantisation noise falls more slowly than Q, and is as much at first.
-        white = noise.density(step) ** 2 / step + 3 * quantisation**2
+        white = noise.noise_density(step) ** 2 / step + 3 * quantisation**2
         allan_variance = noise.allan_variance(factors, step)
         required = FILTER_RATIO**2 * allan_variance
         # Candidate densities reach the required deviation at one averaging time each; the chosen one, with its random
@@ -762,7 +762,7 @@ def _summarise_figures(
         samples = [noise.draws[name] for noise in sums.noises if name in noise.draws]
         return np.concatenate(samples) if 2 * sum(map(len, samples)) > draw_count else None
 
-    white_density = np.concatenate([noise.density(sums.runs.step) for noise in sums.noises])
+    white_density = np.concatenate([noise.noise_density(sums.runs.step) for noise in sums.noises])
     white_density = white_density if sums.count else np.full(1, math.nan)  # not even a bound
     has_minimum = 0 < np.argmin(np.median(allan_variances, axis=0)) < allan_variances.shape[1] - 1
     floor_draws = np.sqrt(np.min(allan_variances, axis=1) / FLICKER_FLOOR) if has_minimum else None

@@ -120,9 +120,11 @@ def _read_netcdf(
     full_layout, levels = bind(model, readings, reference=metadata["reference"])
     layout = replace(full_layout, promoted=tuple(metadata["promoted"]))
     draws = Draws(**{n: groups["draws"][n].values for n in "xv"})
-    counts, expected = [draws.x.shape[-1], draws.v.shape[-1]], [layout.size, len(layout.hypers)]
-    if counts != expected:
-        raise ValueError(f"its draws have {counts} unknowns, but its model has {expected}")
+    describe_sizes = "{} coefficients and {} hyper-parameters".format
+    draws_have = describe_sizes(draws.x.shape[-1], draws.v.shape[-1])
+    model_has = describe_sizes(layout.size, len(layout.hypers))
+    if draws_have != model_has:
+        raise ValueError(f"its draws have {draws_have}, but its model has {model_has}")
     mode = Mode(**{n: groups["mode"][n].values for n in Mode._fields})
     verdict, log_evidence = Verdict.read(metadata["verdict"]), metadata["log_evidence"]
     fields = {

@@ -426,23 +426,23 @@ def _describe_number(unit: str | None) -> str:
     return "a number" if unit is None else f"a number in {units.format_unit(unit)}"
 
 
-def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
+def join_files(files: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
     """Concatenate the columns of files, `labels` being their runs; raise InputError for incompatible files."""
-    if len(parts) == 1:
-        return parts[0]
-    _label_runs(parts, labels)
-    joined = ConvertedColumns(tuple(table for part in parts for table in part.tables))
-    joined.flags = [flag for part in parts for flag in part.flags]
-    joined.other_channels = set().union(*(part.other_channels for part in parts))
-    joined.origin = _align_time_origins(parts)
-    for name, unit in {name: unit for part in parts for name, unit in part.units.items()}.items():
-        for part in parts:
-            if part.units.get(name, unit) != unit:
+    if len(files) == 1:
+        return files[0]
+    _label_runs(files, labels)
+    joined = ConvertedColumns(tuple(table for file in files for table in file.tables))
+    joined.flags = [flag for file in files for flag in file.flags]
+    joined.other_channels = set().union(*(file.other_channels for file in files))
+    joined.origin = _align_time_origins(files)
+    for name, unit in {n: u for f in files for n, u in f.units.items()}.items():
+        for file in files:
+            if file.units.get(name, unit) != unit:
                 raise InputError(
-                    f"column {name!r} is in {part.units[name]} in {part.tables[0].file!r} and in {unit} in another "
+                    f"column {name!r} is in {file.units[name]} in {file.tables[0].file!r} and in {unit} in another "
                     "file: use units of one dimension, or rename one"
                 )
-        file_with, file_without = _find_first_files(parts, [name in part.values for part in parts])
+        file_with, file_without = _find_first_files(files, [name in file.values for file in files])
         if file_without and unit is None:
             raise InputError(
                 f"{file_without!r} lacks the column {name!r} that {file_with!r} has: label every file, or none"
@@ -456,7 +456,7 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
             continue
         fill = 0.0 if name == ASSUMED_GRAVITY else np.nan
         missing = (np.full(table.rows, fill) for table in joined.tables)
-        columns = [p.values.get(name, nans) for p, nans in zip(parts, missing, strict=True)]
+        columns = [f.values.get(name, nans) for f, nans in zip(files, missing, strict=True)]
         joined.values[name], joined.units[name] = np.concatenate(columns), unit
     file_by_hash = dict[str, str]()
     for table in joined.tables:
@@ -465,17 +465,17 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
     return joined
 
 
-def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
+def _label_runs(files: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
     """Label each file without a column `run` as one run; flag runs that span several files."""
-    run_sets = [set(part.values.get("run", ())) for part in parts]
+    run_sets = [set(file.values.get("run", ())) for file in files]
     run_names, file_of_run = set().union(*run_sets), dict[str, str]()
-    for part, label, runs in zip(parts, labels, run_sets, strict=True):
-        (table,) = part.tables
-        if "run" not in part.values:
+    for file, label, runs in zip(files, labels, run_sets, strict=True):
+        (table,) = file.tables
+        if "run" not in file.values:
             label = f"file {label}" if label in run_names else label
-            part.values["run"] = np.full(table.rows, label, dtype=object)
-            part.units["run"] = None
-        part.flags += [
+            file.values["run"] = np.full(table.rows, label, dtype=object)
+            file.units["run"] = None
+        file.flags += [
             f"run {run!r} of {table.file} is read as the continuation of run {run!r} of {file_of_run[run]}"
             for run in sorted(runs & file_of_run.keys())
         ]
@@ -483,26 +483,26 @@ def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Non
 
 
 def _find_first_files(
-    parts: Sequence[ConvertedColumns], flags: Sequence[bool]
+    files: Sequence[ConvertedColumns], flags: Sequence[bool]
 ) -> tuple[str | None, str | None]:
     """Return the names of the first file whose flag is true and of the first whose flag is false; None if none is."""
-    files = [part.tables[0].file for part in parts]
-    first_by_flag = dict(reversed([*zip(flags, files, strict=True)]))
+    names = [file.tables[0].file for file in files]
+    first_by_flag = dict(reversed([*zip(flags, names, strict=True)]))
     return first_by_flag.get(True), first_by_flag.get(False)
 
 
-def _align_time_origins(parts: Sequence[ConvertedColumns]) -> float | None:
+def _align_time_origins(files: Sequence[ConvertedColumns]) -> float | None:
     """Shift the times of dated files to the earliest origin; return it, s since 1970, or None without dates."""
-    files = [part for part in parts if "time" in part.values]
-    origins = [part.origin for part in files if part.origin is not None]
+    files = [file for file in files if "time" in file.values]
+    origins = [file.origin for file in files if file.origin is not None]
     if not origins:
         return None
-    file_with, file_without = _find_first_files(files, [part.origin is not None for part in files])
+    file_with, file_without = _find_first_files(files, [f.origin is not None for f in files])
     if file_without:
         raise InputError(
             f"{file_with!r} has dates in its column 'time', but {file_without!r} has none: give the date of the first "
             f"reading of the latter, --begin '{file_without}=2026-05-13 10:14:20', or read the files separately"
         )
-    for part, origin in zip(files, origins, strict=True):
-        part.values["time"] = np.round(part.values["time"] + (origin - min(origins)), 6)
+    for file, origin in zip(files, origins, strict=True):
+        file.values["time"] = np.round(file.values["time"] + (origin - min(origins)), 6)
     return min(origins)

@@ -131,9 +131,9 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         )
     all_problems, readings = Objections(), dict[str, Measurements]()
     for name in outputs:
-        named, others = {**options.columns, output: name}, frozenset(outputs) - {name}
+        columns, others = {**options.columns, output: name}, frozenset(outputs) - {name}
         with all_problems.collecting():
-            readings[name] = read_one(replace(options, columns=named, others=others))
+            readings[name] = read_one(replace(options, columns=columns, others=others))
     Objections(dict.fromkeys(all_problems)).refuse()
     return readings
 

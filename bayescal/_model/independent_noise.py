@@ -264,8 +264,8 @@ class Quantised(Noise):
         log_tail = get_special_functions((standardised, half_step)).log_ndtr
         upper, lower = log_tail(standardised + half_step), log_tail(standardised - half_step)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))); divided by the step it is a density.
-        log_probability = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
-        return upper + log_probability - math.log(self.step)
+        log_complement = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
+        return upper + log_complement - math.log(self.step)
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = jnp.sqrt(white_variance(parameters, frame))

@@ -33,7 +33,7 @@ from bayescal._model.static import static
 Parameters = Mapping[str, Any]  # values by name, in their units
 WHITE = "noise.white"  # standard deviation of the white noise, output unit
 LOG_2PI = math.log(2 * math.pi)
-AVERAGING_TIMES = np.geomspace(0.1, 0.5, 9)  # for Allan deviations, in lengths of the longest run
+AVERAGING_TIME_RUN_FRACTIONS = np.geomspace(0.1, 0.5, 9)  # of the longest run, for Allan deviations
 
 
 @renamed(known="registry", usual="default", followed="covariate")
@@ -237,7 +237,7 @@ class Noise(abc.ABC):
         if not self.parts:
             return 0.0
         step = self.parts[0].shortest
-        factors = self.parts[0].longest / step * AVERAGING_TIMES
+        factors = self.parts[0].longest / step * AVERAGING_TIME_RUN_FRACTIONS
         phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
         allan_variances = self.allan_variance(phi, self.slow_variance(phi), factors, step)
         return float(np.sqrt(np.max(allan_variances)))

@@ -347,13 +347,13 @@ def _evaluate_finer(structures: Structures) -> Generator[EvaluatedStructure, Non
     best = structures.best
     moves = sorted(_propose_finer(structures, best), key=lambda move: -move.log_posterior)
     pairs = [(move, best) for move in moves if move.log_posterior > best.log_posterior]
-    plain = Structure(noise=best.structure.noise)
-    reduced = {*map(best.structure.without_effects, best.structure.effects)} - {plain}
+    base = Structure(noise=best.structure.noise)
+    reduced = {*map(best.structure.without_effects, best.structure.effects)} - {base}
     likely_laws = [move.structure.noise for move in moves[:LAWS_OF_REDUCED]]
-    for subset in (plain, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
+    for subset in (base, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
         fit = structures.visited.get(subset)
         if fit is not None and fit is not best:
-            finer_moves = _propose_finer(structures, fit, None if subset == plain else likely_laws)
+            finer_moves = _propose_finer(structures, fit, None if subset == base else likely_laws)
             pairs += [(m, fit) for m in finer_moves if structures.is_in_window(m.log_posterior)]
     for move in (*moves, *(move for move, _ in pairs)):
         structures.store_score(move.structure, move.log_posterior)
@@ -381,10 +381,10 @@ def _propose_finer(
     if not (is_correlated and finer_names and math.isfinite(fit.log_posterior)):
         return
     # Evidence of both laws on the residuals alone: the coefficients' posterior volumes are nearly equal.
-    evidence = structures.fit_law(fit, structure.noise)
+    current_law_fit = structures.fit_law(fit, structure.noise)
     for name in finer_names:
         law_fit = structures.fit_law(fit, name)
-        change = law_fit.log_evidence - evidence.log_evidence
+        change = law_fit.log_evidence - current_law_fit.log_evidence
         change += log_prior(laws, name) - log_prior(laws, current_law.name)
         yield Move(structure.with_noise(name), fit.log_posterior + change, (law_fit.start,))
 
@@ -392,16 +392,18 @@ def _propose_finer(
 def _propose_noise_laws(structures: Structures, fit: EvaluatedStructure) -> Iterator[Move]:
     """Yield other independent noise laws, scored by the change of log evidence on residuals under the given law."""
     structure, laws = fit.structure, structures.noise_laws
-    plain = structures.visited.get(structure.with_noise(""))
-    if not laws or plain is None or not math.isfinite(plain.log_posterior):
+    plain_fit = structures.visited.get(structure.with_noise(""))
+    if not laws or plain_fit is None or not math.isfinite(plain_fit.log_posterior):
         return
-    evidence = structures.fit_law(plain, "")
+    plain_law_fit = structures.fit_law(plain_fit, "")
     for name, law in laws.items():
         if law.independent and name != structure.noise:
-            law_fit = structures.fit_law(plain, name)
+            law_fit = structures.fit_law(plain_fit, name)
             # Coefficients are held at a fit that outliers have pulled: the change is rather too low.
-            change = law_fit.log_evidence - evidence.log_evidence + log_prior(laws, name)
-            yield Move(structure.with_noise(name), plain.log_posterior + change, (law_fit.start,))
+            change = law_fit.log_evidence - plain_law_fit.log_evidence + log_prior(laws, name)
+            yield Move(
+                structure.with_noise(name), plain_fit.log_posterior + change, (law_fit.start,)
+            )
 
 
 def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:

@@ -69,7 +69,7 @@ _MAX_CONTAINERS = 2000  # in a file, since some thousands exhaust the stack of t
 
 
 def refuse_matlab(path: Path, file_name: str) -> None:
-    """Raise InputError if a MAT-file of version ≤ 7.2 is too large decompressed, or has too many cells and structures."""
+    """Raise InputError if a MAT-file (up to 7.2) is too large decompressed, or has too many cells and structures."""
     size, total_size, container_count = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
         header = handle.read(128)

@@ -164,29 +164,29 @@ def _make_px4_values(polynomials: Polynomials, devices: Mapping[str, int]) -> Va
             f"{first}: PX4 needs the sensor's device_id, which the calibration does not contain: give "
             f"--device-id {first.sensor}=NUMBER (param show CAL_{word}{first.number}_ID on the autopilot)"
         )
-    name = f"TC_{letter}{first.number}"
-    values: Values = {f"TC_{letter}_ENABLE": 1, f"{name}_ID": devices[first.sensor]}
-    values |= {f"{name}_TREF": polynomial.reference}
-    values |= {f"{name}_TMIN": polynomial.low, f"{name}_TMAX": polynomial.high}
+    prefix = f"TC_{letter}{first.number}"
+    values: Values = {f"TC_{letter}_ENABLE": 1, f"{prefix}_ID": devices[first.sensor]}
+    values |= {f"{prefix}_TREF": polynomial.reference}
+    values |= {f"{prefix}_TMIN": polynomial.low, f"{prefix}_TMAX": polynomial.high}
     by_axis = {a.axis: p.coefficients for a, p in polynomials.items()}
     for power in range(MAX_DEGREE + 1):
         for index, axis in enumerate(AXES):
             has_value = axis in by_axis and (letter, power) != ("A", 0)
-            values[f"{name}_X{power}_{index}"] = by_axis[axis][power] if has_value else 0.0
+            values[f"{prefix}_X{power}_{index}"] = by_axis[axis][power] if has_value else 0.0
     return values
 
 
 def _make_ardupilot_values(polynomials: Polynomials, devices: Mapping[str, int]) -> Values:
     (first, polynomial), *_ = polynomials.items()
-    name = f"INS_TCAL{first.number + 1}"
-    values: Values = {f"{name}_ENABLE": 1}
-    values |= {f"{name}_TMIN": polynomial.low, f"{name}_TMAX": polynomial.high}
+    prefix = f"INS_TCAL{first.number + 1}"
+    values: Values = {f"{prefix}_ENABLE": 1}
+    values |= {f"{prefix}_TMIN": polynomial.low, f"{prefix}_TMAX": polynomial.high}
     by_axis = {(a.kind, a.axis): p.coefficients for a, p in polynomials.items()}
     for kind, word in (("acc", "ACC"), ("gyro", "GYR")):
         for power in range(1, MAX_DEGREE + 1):
             for axis in AXES:
                 value = by_axis[kind, axis][power] if (kind, axis) in by_axis else 0.0
-                values[f"{name}_{word}{power}_{axis.upper()}"] = ARDUPILOT_SCALE * value
+                values[f"{prefix}_{word}{power}_{axis.upper()}"] = ARDUPILOT_SCALE * value
     return values
 
 
