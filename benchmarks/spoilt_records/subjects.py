@@ -13,7 +13,7 @@ from bayescal_models.differential_pair.simulator import simulate_batch
 from bayescal_models.inclinometer.campaign import X, Y
 from bayescal_models.inclinometer.simulator import MEAN_TEMPERATURE_DEGC
 from bayescal_models.ng_accelerometer.campaign import TRUTH_A
-from bayescal_models.quartz_beam_accelerometer.simulator import CUBIC
+from bayescal_models.quartz_beam_accelerometer.simulator import CUBIC_COEFFICIENTS
 from benchmarks.spoilt_records.subject import Columns, Shift, Subject
 
 
@@ -80,7 +80,7 @@ SUBJECTS = {
         Subject(
             "quartz_beam_accelerometer",
             hidden=(("second_order", 30.0), ("bias.thermal_lag", 20.0)),
-            true=CUBIC,
+            true=CUBIC_COEFFICIENTS,
             exact={"second_order": {"second_order": 1.0}},
             noise=5.0,
             zero=Shift(("bias.constant_head",), 20_000.0, _ones),

@@ -44,8 +44,7 @@ def simulate_log(
         ValueError: an unknown effect, or a size that is not a finite number.
     """
     plan, counts = campaign or MovesByHand(), {name: MEMBER_COUNTS[name] for name in EFFECT_NAMES}
-    sizes = expand_sizes(effects, counts, BASELINE)
-    rng = np.random.default_rng(seed)
+    sizes, rng = expand_sizes(effects, counts, BASELINE), np.random.default_rng(seed)
     rate, force, up = _path(plan, rng)  # °/s, g
     earth_rate = np.zeros(3)
     if plan.latitude is not None:

@@ -51,8 +51,7 @@ def simulate_columns(
     run, mount, soak_index, rate_index = np.indices(shape).reshape(4, -1)
     temperature, rate = np.array(plan.temperatures)[soak_index], np.array(plan.rates)[rate_index]
     interval = np.where(rate_index == 0, plan.soak, plan.interval)
-    time = np.cumsum(interval) + 3600.0 * run
-    run_deviates = rng.standard_normal((plan.runs, 3))
+    time, run_deviates = np.cumsum(interval) + 3600.0 * run, rng.standard_normal((plan.runs, 3))
     errors = MOUNTING_SD_RAD * rng.standard_normal((plan.runs, len(plan.mountings), 3))[run, mount]
     up = np.array([_compute_upward_axis(mounting) for mounting in plan.mountings])[mount]
     true_axes = up + np.cross(errors, up)

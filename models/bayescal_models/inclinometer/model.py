@@ -71,8 +71,7 @@ def _evaluate_response(slots, r):
     rig = slots["dividing"] + slots["base_tilt"]
     if "true_angle" not in r.columns:
         return slots["zero"] + cross_axis + rig
-    tilt = r["true_angle"] + ARCSEC * rig
-    zero = ARCSEC * slots["zero"]
+    tilt, zero = r["true_angle"] + ARCSEC * rig, ARCSEC * slots["zero"]
     sine = compute_sine(xp.sin(tilt), zero, xp.cos(tilt), 0.0, slots["scale"], ARCSEC * cross_axis)
     return xp.arcsin(xp.clip(sine, -1.0, 1.0)) / ARCSEC
 

@@ -96,8 +96,7 @@ def resolve_gravity(
         fixture_tilt: γ1, tilt of the input axis out of the face.
         parallel, perp: γ2∥ and γ2⊥, tilts of the base along θ = 0 and along θ = 90°.
     """
-    e0 = xp.sin(parallel)
-    e90 = xp.cos(parallel) * xp.sin(tilt + perp)
+    e0, e90 = xp.sin(parallel), xp.cos(parallel) * xp.sin(tilt + perp)
     n = xp.cos(parallel) * xp.cos(tilt + perp)
     in_face = e0 * xp.cos(angle) + e90 * xp.sin(angle)
     return Accelerations(G * (xp.cos(fixture_tilt) * in_face + xp.sin(fixture_tilt) * n), n)

@@ -29,8 +29,7 @@ PEAK_PERIOD_DAYS = 30.0  # days over which the peak of a tide is computed
 
 def plumb_line_tilt(days: ArrayLike) -> tuple[Array, Array]:
     """Return the plumb line's tidal tilts to east and north, rad, on a rigid Earth; days since 2000-01-01 12 h UT."""
-    days = np.asarray(days, dtype=float)
-    phi = np.radians(LATITUDE_DEG)
+    days, phi = np.asarray(days, dtype=float), np.radians(LATITUDE_DEG)
     sidereal_angle = np.radians(280.46062 + 360.98564737 * days + LONGITUDE_DEG)
     tilt = [np.zeros_like(days), np.zeros_like(days)]
     for gm, (longitude, latitude, distance) in (

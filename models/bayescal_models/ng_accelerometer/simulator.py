@@ -84,8 +84,7 @@ def _evaluate_settlement(test: Conditions) -> Array:
 
 def _evaluate_eccentricity_error(test: Conditions) -> Array:
     """Return the angle error of an eccentric divided circle, arcsec: the amplitude is √2″, the phase π/4."""
-    eccentricity = np.sqrt(2) * ARCSEC
-    angle = test.angle + np.pi / 4
+    eccentricity, angle = np.sqrt(2) * ARCSEC, test.angle + np.pi / 4
     return np.arctan2(eccentricity * np.sin(angle), 1 + eccentricity * np.cos(angle)) / ARCSEC
 
 

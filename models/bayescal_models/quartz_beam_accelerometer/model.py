@@ -92,8 +92,7 @@ def _multiply_gradient(quantity: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
 
 def _evaluate_backlash(r: bc.Frame) -> Any:
     """Return the play (backlash) operator (t2 − s)/`PLAY_DEGC`, −1 … 1, (n,); s = t2 at the start of each run."""
-    temperature = r["temperature_head"][r.order]
-    is_run_start = r.step < 0
+    temperature, is_run_start = r["temperature_head"][r.order], r.step < 0
 
     def advance(centre, row):
         value, is_first = row

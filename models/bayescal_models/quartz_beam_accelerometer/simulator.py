@@ -39,7 +39,7 @@ BOWING_DEGC = 60.0  # °C, gradient at which a bowed plate stiffens; assumed
 NOISE_TAU_S, LAG_TAU_S = 300.0, 600.0  # s, of correlated noise and of the hidden lag
 RANDOM_STREAMS = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
-CUBIC: Mapping[str, float] = MappingProxyType(
+CUBIC_COEFFICIENTS: Mapping[str, float] = MappingProxyType(
     {
         "bias.constant_head": 3000.0,
         "bias.temperature_head": 60.0,
@@ -52,6 +52,7 @@ CUBIC: Mapping[str, float] = MappingProxyType(
     }
 )
 """True coefficients of the cubic device, relative to T0: µg and ppm, per power of °C."""
+CUBIC = CUBIC_COEFFICIENTS  # the former name
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def compute_device_truth(test: Conditions, coefficients: Mapping[str, float]) ->
 
     Args:
         test: conditions of the test.
-        coefficients: coefficients of the device "cubic" by name, as in `CUBIC`; not used for "beams".
+        coefficients: coefficients of the device "cubic" by name, as in `CUBIC_COEFFICIENTS`; not used for "beams".
     """
     if test.plan.device == "beams":
         return _compute_beam_truth(test)
@@ -100,8 +101,7 @@ def _compute_beam_truth(test: Conditions) -> Truth:
     differences = (1.375e-7, 0.9e-9, 0.8e-11)
     terms = (BEAM_TEMPCO, -0.02e-6, 0.0)
     f_pulled = _compute_frequency(first, *(c + u for c, u in zip(terms, differences, strict=True)))
-    f_pushed = _compute_frequency(second, *terms)
-    gradient = test.gradient
+    f_pushed, gradient = _compute_frequency(second, *terms), test.gradient
     stress = 10.0 * gradient * (1 + 0.01 * (test.head - test.plan.T0))
     phase = 4.0 * (test.circuit - test.plan.T0)
     joint = 20.0 * np.tanh((beam - 50.0) / 20.0)
@@ -195,8 +195,8 @@ def simulate_columns(
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficient; of random effects (`*.run`,
-            `*.cell`) the standard deviation. For the device "cubic", names in `CUBIC` replace the coefficients of
-            the polynomials of bias and scale factor in the head's temperature minus `campaign.T0`.
+            `*.cell`) the standard deviation. For the device "cubic", names in `CUBIC_COEFFICIENTS` replace the
+            coefficients of the polynomials of bias and scale factor in the head's temperature minus `campaign.T0`.
         seed: seed of the random-number generator.
         campaign: plan of the test; None: `Campaign()`.
 
@@ -205,8 +205,7 @@ def simulate_columns(
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     test, truth = _truth(Conditions(campaign), effects, seed)
-    generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
-    g = test.acceleration
+    generators, g = simulated.spawn_generators(RANDOM_STREAMS, seed), test.acceleration
     output = truth.bias + (1e6 + truth.scale) * g + effects.get("second_order", 0.0) * g**2
     output = output + _draw_noise(test, generators)
     error = campaign.thermometer_noise * generators["thermometers"].standard_normal((2, g.size))
@@ -236,11 +235,13 @@ def true_values(
 
 def _truth(test: Conditions, effects: Mapping[str, float], seed: int) -> tuple[Conditions, Truth]:
     by_name = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *RANDOM)}
-    names = [*by_name, "second_order", *BIAS_LAWS, *(CUBIC if test.plan.device == "cubic" else ())]
+    coefficients = CUBIC_COEFFICIENTS if test.plan.device == "cubic" else {}
+    names = [*by_name, "second_order", *BIAS_LAWS, *coefficients]
     simulated.validate_effects(effects, names, f"a {test.plan.device!r} device")
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     test.supply = simulated.simulate_supply(generators["supply"], test.time)
-    device_values = compute_device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
+    coefficients = {n: effects.get(n, v) for n, v in CUBIC_COEFFICIENTS.items()}
+    device_values = compute_device_truth(test, coefficients)
     values = {"bias": device_values.bias, "scale": device_values.scale}
     slot_draws = {slot: _draw_group_deviates(generators[slot], test) for slot in values}
     for name, size in effects.items():

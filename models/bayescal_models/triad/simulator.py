@@ -124,8 +124,7 @@ def make_pose_simulator(
 def _simulate_poses(
     sizes: Mapping[str, np.ndarray], bias_unit: float, seed: int, campaign: Campaign
 ) -> dict[str, Any]:
-    rng = np.random.default_rng(seed)
-    rows_per_run = len(campaign.temperatures) * campaign.poses
+    rng, rows_per_run = np.random.default_rng(seed), len(campaign.temperatures) * campaign.poses
     count = campaign.runs * rows_per_run
     kind, set_indices = campaign.kind, range(campaign.runs * len(campaign.temperatures))
     nominal = np.concatenate([draw_directions(kind, campaign.poses, rng) for _ in set_indices])
@@ -198,8 +197,7 @@ def draw_directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarr
         vectors = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
     else:
         tilt = np.deg2rad(10) * np.sqrt(rng.uniform(size=count))
-        angle = rng.uniform(0, 2 * np.pi, count)
-        radius = np.sin(tilt)
+        angle, radius = rng.uniform(0, 2 * np.pi, count), np.sin(tilt)
         vectors = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.cos(tilt)])
     return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 

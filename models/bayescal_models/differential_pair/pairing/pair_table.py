@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayescal as bc
-from bayescal.workshop import as_json, make_table
+from bayescal.workshop import as_json, make_table, renamed
 
 Array = NDArray[np.float64]
 
 UNIT = "ug"
 REMARK_WIDTH = 110  # characters per line of a remark
 MAX_PRINTED_PAIRS = 12  # in the printed table
+CRITERIA = ("residual", "ratio_variance", "ratio_variance_raw")
+FORMER_NAMES = {f"probability_{c}": f"probability_smallest_{c}" for c in CRITERIA}
 MIN_RELATIVE_VARIATION = 0.01  # smallest relative range of a varying commanded acceleration
 
 
@@ -40,15 +42,16 @@ class Ratio:
     document_reliable: bool
 
 
+@renamed(**FORMER_NAMES)
 @dataclass(frozen=True)
 class Pair:
     """Criteria of one pair of an outer and an inner device.
 
     Attributes:
         outer, inner: names of the devices.
-        probability_residual: probability that the pair has the smallest residual.
-        probability_ratio_variance: the same for the ratio variance without the commanded acceleration.
-        probability_ratio_variance_raw: the same for the ratio variance of raw records.
+        probability_smallest_residual: probability that the pair has the smallest residual.
+        probability_smallest_ratio_variance: the same for the ratio variance without the commanded acceleration.
+        probability_smallest_ratio_variance_raw: the same for the ratio variance of raw records.
         expected_residual: posterior mean of the residual, µg.
         expected_loss: expected excess of the residual over that of the best pair, µg.
         ratio_variance, ratio_variance_raw: ratio variances computed from the records (source 3).
@@ -58,9 +61,9 @@ class Pair:
 
     outer: str
     inner: str
-    probability_residual: float
-    probability_ratio_variance: float
-    probability_ratio_variance_raw: float
+    probability_smallest_residual: float
+    probability_smallest_ratio_variance: float
+    probability_smallest_ratio_variance_raw: float
     expected_residual: float
     expected_loss: float
     ratio_variance: float
@@ -80,9 +83,9 @@ class Pair:
 _CELLS: dict[str, Callable[[Pair], str]] = {  # cells of the printed table, by column header
     "outer": lambda p: p.outer,
     "inner": lambda p: p.inner,
-    "P(best)": lambda p: f"{p.probability_residual:.2f}",
-    "P(ratios)": lambda p: f"{p.probability_ratio_variance:.2f}",
-    "P(raw)": lambda p: f"{p.probability_ratio_variance_raw:.2f}",
+    "P(best)": lambda p: f"{p.probability_smallest_residual:.2f}",
+    "P(ratios)": lambda p: f"{p.probability_smallest_ratio_variance:.2f}",
+    "P(raw)": lambda p: f"{p.probability_smallest_ratio_variance_raw:.2f}",
     "residual": lambda p: f"{p.expected_residual:.0f}",
     "loss": lambda p: f"{p.expected_loss:.0f}",
     "λbd": lambda p: f"{p.environment_ratio.median:.3f}",
@@ -125,7 +128,12 @@ class PairTable:
         """Return the table as JSON data."""
         return {
             "criterion": self.criterion,
-            "pairs": [as_json(pair) | {"unit": UNIT} for pair in self.pairs],
+            "pairs": [
+                as_json(pair)
+                | {k: getattr(pair, n) for k, n in FORMER_NAMES.items()}
+                | {"unit": UNIT}
+                for pair in self.pairs
+            ],
             "best": list(self.best),
             "matching": [list(pair) for pair in self.matching],
             "environment_ratio": vars(self.of(*self.best).environment_ratio),
@@ -166,15 +174,15 @@ def list_remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     """
     remarks, best = [], pairs[0]
     residual_pair = min(pairs, key=lambda p: p.expected_residual)
-    ratio_pair = max(pairs, key=lambda p: p.probability_ratio_variance)
-    raw_pair = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
+    ratio_pair = max(pairs, key=lambda p: p.probability_smallest_ratio_variance)
+    raw_pair = max(pairs, key=lambda p: p.probability_smallest_ratio_variance_raw)
     if residual_pair.names != ratio_pair.names:
         remarks.append(
             f"The criteria disagree. Smallest residual: {residual_pair} ({residual_pair.expected_residual:.0f} µg, "
-            f"probability {residual_pair.probability_residual:.2f}). Smallest variance of ratios, most probably: "
-            f"{ratio_pair} ({ratio_pair.expected_residual:.0f} µg, expected loss {ratio_pair.expected_loss:.0f} µg). "
-            "The variance of ratios gives every order of the polynomial equal weight, even where the "
-            "environment contributes little."
+            f"probability {residual_pair.probability_smallest_residual:.2f}). Smallest variance of ratios, most "
+            f"probably: {ratio_pair} ({ratio_pair.expected_residual:.0f} µg, expected loss "
+            f"{ratio_pair.expected_loss:.0f} µg). The variance of ratios gives every order of the polynomial equal "
+            "weight, even where the environment contributes little."
         )
     near_zero = sorted({(p.inner, n) for p in pairs for n in p.orders_near_zero})
     if near_zero:

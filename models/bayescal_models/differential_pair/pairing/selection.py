@@ -77,7 +77,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
     scale_terms = (devices.sign * scale_deviation)[..., None] * commanded_terms
     env_records = devices.records - devices.known
     pair_fields = {
-        "probability_residual": _compute_best_fraction(residual),
+        "probability_smallest_residual": _compute_best_fraction(residual),
         "expected_residual": residual.mean(axis=0),
         "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
@@ -85,7 +85,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
         ("ratio_variance", env_terms, env_records),
         ("ratio_variance_raw", known_terms + scale_terms + env_terms, devices.records),
     ):
-        pair_fields[f"probability_{name}"] = _compute_best_fraction(
+        pair_fields[f"probability_smallest_{name}"] = _compute_best_fraction(
             criteria.ratio_variance(draws, outer)
         )
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
@@ -118,7 +118,7 @@ def _rank(criterion: str, pair: Pair) -> tuple[float, float]:
     if criterion == "residual":
         return (pair.expected_residual, 0.0)
     name = criterion.replace("-", "_")
-    return (-getattr(pair, f"probability_{name}"), getattr(pair, name))
+    return (-getattr(pair, f"probability_smallest_{name}"), getattr(pair, name))
 
 
 def _build_pair(devices: Devices, scores: Scores, i: int, j: int) -> Pair:
@@ -135,7 +135,7 @@ def _build_pair(devices: Devices, scores: Scores, i: int, j: int) -> Pair:
 
 def _match_pairs(devices: Devices, scores: Scores, criterion: str) -> tuple[tuple[str, str], ...]:
     """Return the set of disjoint pairs with the smallest total residual or, by other criteria, largest probability."""
-    probability = scores.pair_fields[f"probability_{criterion.replace('-', '_')}"]
+    probability = scores.pair_fields[f"probability_smallest_{criterion.replace('-', '_')}"]
     cost = scores.pair_fields["expected_residual"] if criterion == "residual" else -probability
     outer_indices, inner_indices = linear_sum_assignment(cost)
     matched_pairs = sorted(zip(outer_indices, inner_indices, strict=True), key=lambda at: cost[at])
