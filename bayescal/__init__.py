@@ -27,22 +27,28 @@ and `bayescal --help` are fast.
 # | importance weight, effective sample size | `_core/importance_weights.py` `smooth` |
 # | leave-one-out, leave-one-group-out | `_calibration/compare.py` `compare`, `_calibration/leave_group_out.py` |
 # | misspecification, inadequacy | `_calibration/check.py` `check`, `_search/structure_average.py` `add_inadequacy` |
-# | outlier, spike | `_data/set_aside.py` `set_aside` |
+# | outlier, spike | `_data/set_aside.py` `exclude_faults` |
 # | prior | `_model/prior.py` `Normal` |
 # | residual | `_calibration/check.py` `check` |
 # | tolerance of a solver, xtol, ftol | `_inference/laplace.py` `XTOL_SD`, `_inference/newton.py` `FTOL_NATS` |
 # | whitening | `_inference/noise_on_record.py` `whitening`, `_inference/linear_model.py` `LinearModel` |
 
+from warnings import warn as _warn
+
 import lazy_loader
 
 from bayescal._core import lazy_jax as lazy_jax  # sets JAX up once it is imported
 from bayescal._core import python311 as python311
+from bayescal._core.renamed import NOTICE as _NOTICE
 from bayescal._core.version import __version__ as __version__
 
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> object:
+    if name == "set_aside":
+        name = "exclude_faults"
+        _warn(_NOTICE.format("bayescal.set_aside", name), DeprecationWarning, stacklevel=2)
     try:
         return _load(name)
     except ModuleNotFoundError as error:

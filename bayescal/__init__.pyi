@@ -23,7 +23,7 @@ from ._search.check_instrument import InstrumentCheck as InstrumentCheck
 # a sensor's noise, as data sheets give it
 from ._calibration.sensor_noise import noise as noise
 from ._calibration.sensor_noise import SensorNoise as SensorNoise
-from ._data.set_aside import set_aside as set_aside
+from ._data.set_aside import exclude_faults as exclude_faults
 from ._data.allan_deviation import allan_deviation as allan_deviation
 from ._data.allan_deviation import AllanDeviation as AllanDeviation
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._data.set_aside import set_aside
+from bayescal._data.set_aside import exclude_faults
 from bayescal._model.frame import reference_of
 from bayescal._search.discover import enumerate_structures
 from bayescal._search.scores import Library, Scorer
@@ -40,7 +40,7 @@ def measure(task: tuple[str, Case]) -> dict[str, Any]:
     from pysindy.optimizers import EvidenceGreedy  # pyright: ignore[reportMissingImports]
 
     name, case = task
-    readings = set_aside(simulated(instrument_named(name), case))
+    readings = exclude_faults(simulated(instrument_named(name), case))
     model = instrument_named(name).for_readings(readings).baseline()
     structures, _ = enumerate_structures(model, readings, reference_of(readings), widen_noise=False)
     base, library = structures.evaluate(Structure()), Library(structures)

@@ -118,8 +118,7 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
     for title, record in RECORDS.items():
         path = nist_strd.FOLDER / record.file
         y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
-        rank = np.argsort(np.argsort(x, kind="stable"))
-        holdout = (rank * BLOCKS // x.size) % 2 == 1
+        holdout = (np.argsort(np.argsort(x, kind="stable")) * BLOCKS // x.size) % 2 == 1
         instrument = instrument_of(record)
         whole = bc.Measurements.from_arrays(instrument, **{record.driver: x, "output": y})
         row = calibrated(instrument, whole, holdout) | peers(x, y, holdout)
@@ -128,7 +127,8 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
     for axis, unit in AXES.items() if path.is_file() else ():
         columns = {"output": axis, "time": "t_s"}
         units = {axis: unit, "t_s": "s", "temperature": "degC"}
-        whole = bc.set_aside(bc.read(path, still_sensor.INSTRUMENT, columns=columns, units=units))
+        readings = bc.read(path, still_sensor.INSTRUMENT, columns=columns, units=units)
+        whole = bc.exclude_faults(readings)
         holdout = (whole["time"] // BLOCK).astype(int) % 2 == 1
         row = calibrated(still_sensor.INSTRUMENT.for_readings(whole), whole, holdout)
         row |= peers(whole["temperature"], whole["output"], holdout, whole["time"])

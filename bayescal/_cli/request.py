@@ -99,9 +99,9 @@ def average_readings(
     """Return means over the time `average`, without clipped readings and, unless kept, spikes; None: no averaging."""
     if average is None:
         return readings
-    from bayescal._data.set_aside import set_aside
+    from bayescal._data.set_aside import exclude_faults
 
-    return set_aside(readings, keep_spikes).average(average)
+    return exclude_faults(readings, keep_spikes).average(average)
 
 
 def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) -> Model:

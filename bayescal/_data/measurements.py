@@ -367,7 +367,7 @@ class Measurements(Printed):
         `noise.white` of a later fit is the noise of a mean of the largest number of readings; the column
         `output_uncertainty` has the excess noise of means of fewer, and a flag states the noise of a single reading.
         Correlated noise with time constants above `step` is unchanged. Signals faster than `step` (rates, lags,
-        vibration, spikes) are averaged out: exclude spikes first (`set_aside`).
+        vibration, spikes) are averaged out: exclude spikes first (`exclude_faults`).
 
         Args:
             step: averaging time, such as "1 s", "0.5 s" or "2 min"; a number is in s.

@@ -38,7 +38,7 @@ class Fault(NamedTuple):
     reason: str = ""
 
 
-def set_aside(
+def exclude_faults(
     readings: Measurements, keep_spikes: bool = False, needed: Collection[str] = ()
 ) -> Measurements:
     """Return the readings without clipped and stuck ones and spikes; flags report the excluded rows.

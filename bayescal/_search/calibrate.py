@@ -26,7 +26,7 @@ from bayescal._core.parallel import release_memory
 from bayescal._core.progress import track
 from bayescal._core.settings import settings, to_seed
 from bayescal._data.measurements import Measurements
-from bayescal._data.set_aside import flag_fitted_holdout, set_aside
+from bayescal._data.set_aside import exclude_faults, flag_fitted_holdout
 from bayescal._inference.laplace import NO_START
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
@@ -411,13 +411,13 @@ def prepare_readings(
 ) -> tuple[Measurements, Measurements | None]:
     """Return readings and hold-out data on a common clock, without outliers, with a flag if the data share readings."""
     readings = discover.restrict_causes(readings, model.instrument, *causes)
-    clean = set_aside(readings, keep_spikes, model.columns)
+    clean = exclude_faults(readings, keep_spikes, model.columns)
     if holdout is None:
         return clean, None
     model.require(holdout)
     time_effects = "effects that may be found, such as a drift" * readings.has("time")
     aligned_holdout = holdout.align_clock(readings.since, lambda: time_effects)
-    clean_holdout = set_aside(aligned_holdout, keep_spikes, model.columns)
+    clean_holdout = exclude_faults(aligned_holdout, keep_spikes, model.columns)
     flag = flag_fitted_holdout(clean, clean_holdout)
     if not flag and (runs := clean.find_continuations(clean_holdout)):
         flag = (

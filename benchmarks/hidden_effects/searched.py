@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._data.set_aside import set_aside
+from bayescal._data.set_aside import exclude_faults
 from bayescal._inference.density import Density
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -44,7 +44,7 @@ class Searched:
     @classmethod
     def of(cls, model: bc.Model, readings: bc.Measurements, widen_noise: bool = True) -> Searched:
         """Search a record to the end."""
-        readings = set_aside(readings)
+        readings = exclude_faults(readings)
         structures, _ = enumerate_structures(
             model, readings, reference_of(readings), widen_noise=widen_noise
         )
@@ -98,7 +98,7 @@ class Later:
 
     @classmethod
     def of(cls, searched: Searched, readings: bc.Measurements) -> Later:
-        first, remainder = searched.structures.record, set_aside(readings)
+        first, remainder = searched.structures.record, exclude_faults(readings)
         levels = bind(searched.model, searched.readings)[1]
         frame = build_frame(remainder, reference_of(searched.readings), levels)
         new = {g: c if g == "axis" else -jnp.ones_like(c) for g, c in frame.codes.items()}

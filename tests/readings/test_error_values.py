@@ -65,7 +65,7 @@ def test_error_value_of_some_rows_is_set_aside(rows: str) -> None:
     time, warm, output = log(1)
     spoilt = warm.copy()
     spoilt[wrong] = values
-    kept = bc.set_aside(readings_of(time, spoilt, output), needed=NEEDED)
+    kept = bc.exclude_faults(readings_of(time, spoilt, output), needed=NEEDED)
     np.testing.assert_array_equal(kept["time"], np.delete(time, wrong))
     assert slope_of(kept) < 4
 
@@ -74,7 +74,7 @@ def test_stuck_value_is_set_aside_where_it_ends_in_a_leap() -> None:
     time, warm, output = log(2)
     spoilt, wrong = warm.copy(), 100 + np.arange(40)
     spoilt[wrong] = spoilt[100]
-    kept = bc.set_aside(readings_of(time, spoilt, output), needed=NEEDED)
+    kept = bc.exclude_faults(readings_of(time, spoilt, output), needed=NEEDED)
     assert not np.isin(time[wrong[20:]], kept["time"]).any() and len(kept) > ROWS - 60
     assert slope_of(kept) < 4
 
@@ -86,7 +86,7 @@ def test_error_value_of_a_thermometer_that_no_model_needs_takes_few_rows() -> No
         board = np.array(record["board_temperature"])
         board[150 : 150 + count] = -127.0
         spoilt = record.with_column("board_temperature", board)
-        assert len(record) - len(bc.set_aside(spoilt, needed=NEEDED)) == gone
+        assert len(record) - len(bc.exclude_faults(spoilt, needed=NEEDED)) == gone
 
 
 def test_chamber_that_steps_between_two_readings_is_kept() -> None:
@@ -99,7 +99,7 @@ def test_chamber_that_steps_between_two_readings_is_kept() -> None:
         body[i] = goal[i] + (body[i - 1] - goal[i]) * np.exp(-200.0 / 300.0)
     output = 1.0 + SLOPE * (body - 30.0) + 1e-3 * rng.standard_normal(240)
     record = readings_of(time, warm, output)
-    assert bc.set_aside(record, needed=NEEDED) is record and record.anomalies == ()
+    assert bc.exclude_faults(record, needed=NEEDED) is record and record.anomalies == ()
 
 
 @pytest.mark.parametrize("gone", ["none", "those near the end of the counter", "every seventh"])

@@ -22,7 +22,7 @@ def record(output: np.ndarray) -> bc.Measurements:
 
 def spikes(output: np.ndarray) -> list[int]:
     """The readings that are set aside."""
-    kept = bc.set_aside(record(output))["time"]
+    kept = bc.exclude_faults(record(output))["time"]
     return sorted(set(range(len(output))) - set(kept.astype(int).tolist()))
 
 

@@ -99,11 +99,11 @@ def test_an_output_that_was_held_is_taken_once(readings: int) -> None:
         own = np.flatnonzero(record["run"] == run)
         output[own] = output[own[np.arange(len(own)) // readings * readings]]
     held = record.with_column("output", output)
-    kept = bc.set_aside(held)
+    kept = bc.exclude_faults(held)
     runs = [int(np.sum(record["run"] == run)) for run in np.unique(record["run"])]
     assert len(kept) == sum(-(-n // readings) for n in runs)
     rounded = record.with_column("output", 10.0 * np.rint(record["output"] / 10.0))
-    assert bc.set_aside(rounded) is rounded
+    assert bc.exclude_faults(rounded) is rounded
 
 
 def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
@@ -112,10 +112,10 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
     warm = np.array(readings[TEMPERATURE])
     warm[rows] += np.where(np.arange(6) % 2, 40.0, -30.0)
     spoilt = readings.with_column(TEMPERATURE, warm)
-    kept = bc.set_aside(spoilt)
+    kept = bc.exclude_faults(spoilt)
     np.testing.assert_array_equal(kept["time"], np.delete(readings["time"], rows))
-    assert len(bc.set_aside(spoilt, keep_spikes=True)) == len(readings)
-    assert bc.set_aside(readings) is readings
+    assert len(bc.exclude_faults(spoilt, keep_spikes=True)) == len(readings)
+    assert bc.exclude_faults(readings) is readings
 
 
 def test_a_run_in_which_one_of_two_thermometers_was_different() -> None:
@@ -130,7 +130,7 @@ def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it(
     record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
     columns, needed = columns_of(record), {TEMPERATURE}
     held = in_runs(columns, lambda t: t[np.arange(len(t)) // 5 * 5])
-    kept = bc.set_aside(record.with_column(TEMPERATURE, held), needed=needed)
+    kept = bc.exclude_faults(record.with_column(TEMPERATURE, held), needed=needed)
     runs = [int(np.sum(record["run"] == run)) for run in np.unique(record["run"])]
     assert len(kept) == sum(-(-n // 5) for n in runs)
     assert kept[TEMPERATURE] == pytest.approx(
@@ -138,5 +138,5 @@ def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it(
     )
     few = in_runs(columns, lambda t: t[np.arange(len(t)) // 20 * 20])
     held = record.with_column(TEMPERATURE, few)
-    for whole in (bc.set_aside(held), bc.set_aside(held, keep_spikes=True, needed=needed)):
+    for whole in (bc.exclude_faults(held), bc.exclude_faults(held, True, needed=needed)):
         assert len(whole) == len(record)

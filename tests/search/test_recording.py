@@ -35,11 +35,11 @@ def test_an_output_that_stood_still_is_set_aside_and_said() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     output = readings["output"].copy()
     output[40:70] = output[39]
-    kept = bc.set_aside(readings.with_column("output", output))
+    kept = bc.exclude_faults(readings.with_column("output", output))
     assert len(kept) == len(readings) - 30
     np.testing.assert_array_equal(kept["time"], np.delete(readings["time"], np.s_[40:70]))
     rounded = readings.with_column("output", np.round(output, 1))
-    assert len(bc.set_aside(rounded)) == len(readings)
+    assert len(bc.exclude_faults(rounded)) == len(readings)
 
 
 def test_an_output_of_too_few_digits_is_refused() -> None:

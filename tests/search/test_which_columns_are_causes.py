@@ -51,7 +51,7 @@ def test_channels_of_one_unit_are_not_each_others_causes(line: bc.Calibration) -
 
 def test_the_mark_stays_with_the_readings(line: bc.Calibration, tmp_path: Path) -> None:
     readings = line.readings
-    for same in (readings.select(np.arange(90)), readings.average("30 s"), bc.set_aside(readings)):
+    for same in (readings.select(range(90)), readings.average("30 s"), bc.exclude_faults(readings)):
         assert same.no_causes == {"acc_x", "acc_y"}
     assert bc.load(line.save(tmp_path / "c.nc")).readings.no_causes == {"acc_x", "acc_y"}
 

@@ -73,7 +73,7 @@ def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
     odd.write_text(text)
     how: dict[str, Any] = {"columns": {"output": "rate_z"}}
     instrument = mems_gyro.INSTRUMENT
-    readings = bc.set_aside(bc.read(odd, instrument, **how)).average("1min")
+    readings = bc.exclude_faults(bc.read(odd, instrument, **how)).average("1min")
     session = Session.open(
         dict(instrument.structures)["quadratic"](),
         readings,

@@ -156,13 +156,13 @@ class Session:
         model.require(readings)
         if holdout is not None:
             model.require(holdout)
-            held_out = bc.set_aside(holdout, spikes)
+            held_out = bc.exclude_faults(holdout, spikes)
         folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
         with ws.create_result_folder(folder):
             name = model.instrument.name
             origin = origin or Origin(name if name in ws.list_installed() else "")
-            kept_readings, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
-            session = cls(kept_readings, held_out, folder, options, origin, by_name)
+            readings, by_name = bc.exclude_faults(readings, spikes), {e.name: e for e in effects}
+            session = cls(readings, held_out, folder, options, origin, by_name)
             if (folder / store.SESSION_FILE).is_file():
                 session._resume(model)
             else:
