@@ -120,11 +120,10 @@ def _read_netcdf(
     full_layout, levels = bind(model, readings, reference=metadata["reference"])
     layout = replace(full_layout, promoted=tuple(metadata["promoted"]))
     draws = Draws(**{n: groups["draws"][n].values for n in "xv"})
-    describe_sizes = "{} coefficients and {} hyper-parameters".format
-    draws_have = describe_sizes(draws.x.shape[-1], draws.v.shape[-1])
-    model_has = describe_sizes(layout.size, len(layout.hypers))
-    if draws_have != model_has:
-        raise ValueError(f"its draws have {draws_have}, but its model has {model_has}")
+    actual, expected = (draws.x.shape[-1], draws.v.shape[-1]), (layout.size, len(layout.hypers))
+    if actual != expected:
+        text = "{} coefficients and {} hyper-parameters".format
+        raise ValueError(f"its draws have {text(*actual)}, but its model has {text(*expected)}")
     mode = Mode(**{n: groups["mode"][n].values for n in Mode._fields})
     verdict, log_evidence = Verdict.read(metadata["verdict"]), metadata["log_evidence"]
     fields = {

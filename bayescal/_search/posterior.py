@@ -170,10 +170,8 @@ class Posterior:
         return tuple(findings)
 
     def _find_next_substitute(self, members: list[str]) -> str | None:
-        """Return the most probable effect in the structures with none of a finding's `members`; None if there is none.
-
-        Effects of the condition, effects latent in it and the other effects of the best structure are excluded.
-        """
+        """Return the most probable effect in structures with none of a finding's `members`; None if there is none."""
+        # Effects of the condition, effects latent in it and the other effects of the best structure are excluded.
         given_effects = self.condition | self.space.latent_effects(Structure(self.condition))
         best_families, condition = map(self.space.families, (self.best.effects, given_effects))
         excluded_families, sets = (best_families - {members[0]}) | condition, self.reported_families

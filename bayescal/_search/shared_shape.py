@@ -210,8 +210,7 @@ def _sort_distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[np.ndarray, "k"]:
     """Return an effect's log Bayes factor, up to a constant, from its score at each grid point of its shape.
 
-    An effect that corrects a column has no score: return instead the log density of φ along its shape, the other φ at
-    the mode, less the shape's log prior.
+    For an effect that corrects a column (no score): the log density of φ, others at the mode, less the shape's prior.
     """
     if name not in library.points:
         candidate_shape = library.structures.candidates[name].column_shapes[0]

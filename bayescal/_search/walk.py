@@ -401,9 +401,8 @@ def _propose_noise_laws(structures: Structures, fit: EvaluatedStructure) -> Iter
             law_fit = structures.fit_law(plain_fit, name)
             # Coefficients are held at a fit that outliers have pulled: the change is rather too low.
             change = law_fit.log_evidence - plain_law_fit.log_evidence + log_prior(laws, name)
-            yield Move(
-                structure.with_noise(name), plain_fit.log_posterior + change, (law_fit.start,)
-            )
+            log_posterior = plain_fit.log_posterior + change
+            yield Move(structure.with_noise(name), log_posterior, (law_fit.start,))
 
 
 def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:

@@ -103,7 +103,7 @@ def test_probabilities_add_up_and_the_first_pair_is_the_best(criterion: str) -> 
     table = dp.select(made_up(), criterion=criterion)
     assert len(table.pairs) == 12
     for name in ("residual", "ratio_variance", "ratio_variance_raw"):
-        assert sum(getattr(p, f"probability_{name}") for p in table.pairs) == pytest.approx(1)
+        assert sum(vars(p)[f"probability_smallest_{name}"] for p in table.pairs) == pytest.approx(1)
     assert table.best == (table.pairs[0].outer, table.pairs[0].inner)
     if criterion == "residual":
         assert table.pairs[0].expected_loss == min(p.expected_loss for p in table.pairs) >= 0
