@@ -318,11 +318,11 @@ class Covariate:
     levels: tuple[str, ...] = ()  # names of a group's members
 
     @classmethod
-    def build(cls, name: str, values: np.ndarray, unit: str = "", in_time: bool = False) -> Self:
-        """Return a covariate with basis columns of a smooth dependence, at the resolution for time if `in_time`."""
-        term_count, length_range = RESOLUTION[in_time]
+    def build(cls, name: str, values: np.ndarray, unit: str = "", is_time: bool = False) -> Self:
+        """Return a covariate with basis columns of a smooth dependence, at the resolution for time if `is_time`."""
+        term_count, length_range = RESOLUTION[is_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
-        lengths = np.geomspace(*length_range, LENGTH_COUNTS[in_time])
+        lengths = np.geomspace(*length_range, LENGTH_COUNTS[is_time])
         weights = tuple(make_process_weights(term_count, length) for length in lengths)
         return cls(name, values, make_process_columns(position, term_count), weights, unit)
 
@@ -335,7 +335,7 @@ def collect_covariates(calibration: Calibration) -> list[Covariate]:
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is not None and name not in excluded_names and np.ptp(readings[name]) > 0:
-            covariates.append(build(name, readings[name], unit, in_time=name == "time"))
+            covariates.append(build(name, readings[name], unit, is_time=name == "time"))
     if np.ptp(rate := 60 * np.asarray(frame.rates.get("temperature", 0.0))) > 0:
         covariates.append(build("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
@@ -347,7 +347,7 @@ def collect_covariates(calibration: Calibration) -> list[Covariate]:
             ones = (np.ones(columns.shape[1]),)
             covariates.append(Covariate(group, codes.astype(float), columns, ones, levels=levels))
     if not readings.has("time"):
-        covariates.append(build("order", np.arange(1.0, len(readings) + 1), in_time=True))
+        covariates.append(build("order", np.arange(1.0, len(readings) + 1), is_time=True))
     return covariates
 
 

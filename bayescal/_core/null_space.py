@@ -156,8 +156,8 @@ class Spans:
         """Return the groups, other than `names`, whose columns are in the span of those of `names` and the model."""
         base = names.intersection(self.columns)
         others = [n for n in self.columns if n not in base] if base else []
-        implied = {n for n in others if self.is_spanned(n, base)}
-        return frozenset(implied.union(self.model_sums) - names)
+        implied_names = {n for n in others if self.is_spanned(n, base)}
+        return frozenset(implied_names.union(self.model_sums) - names)
 
     def find_spanning(self, names: frozenset[str]) -> set[str]:
         """Return the groups of `names` without which the others span fewer further groups."""

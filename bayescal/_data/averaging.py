@@ -58,7 +58,7 @@ def find_steps(values: np.ndarray, is_next: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the readings at which a setting, such as an angle held for many readings, changes.
 
     These are changes of more than ten times the median change (zero for exactly held values). A column with many of
-    them is no setting: it fluctuates in its last digit, and may be averaged.
+    them is not a setting: it fluctuates in its last digit, and may be averaged.
     """
     change = np.where(is_next, np.abs(np.diff(values, prepend=values[:1])), 0.0)
     is_step = change > MIN_STEP_CHANGES * (np.median(change[is_next]) if is_next.any() else 0.0)

@@ -283,9 +283,9 @@ class ColumnReader:
         hint = "Correct the cell, or remove the row"
         if any(map(table_cells.DECIMAL_COMMA.fullmatch, texts)):
             hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
-        quoted = ", ".join(repr(t[:60]) for t in texts[:_MAX_QUOTED])
-        quoted += " …" * (len(texts) > _MAX_QUOTED)
-        self._report(f"reads {quoted}", expected, hint, rows=sorted(cells.invalid_texts))
+        quoted_texts = ", ".join(repr(t[:60]) for t in texts[:_MAX_QUOTED])
+        quoted_texts += " …" * (len(texts) > _MAX_QUOTED)
+        self._report(f"reads {quoted_texts}", expected, hint, rows=sorted(cells.invalid_texts))
 
     def _unwrap(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Unwrap the values of a counter whose period the user gives; return those of other columns unchanged."""

@@ -28,17 +28,17 @@ Locate = Callable[[int], Place]  # index of a reading → its file and row
 
 
 def find_problems(
-    converted: ConvertedColumns, instrument: Any, one_temperature: bool
+    converted: ConvertedColumns, instrument: Any, allow_one_temperature: bool
 ) -> Objections:
     """Return the problems of a data set: a single temperature, times that decrease or jump by years.
 
-    A single temperature is accepted with `one_temperature`, or if no baseline effect depends on the temperature.
+    A single temperature is accepted with `allow_one_temperature`, or if no baseline effect depends on the temperature.
     """
     problems, columns = Objections(), converted.values
     effects = getattr(instrument, "effects", None)
     is_used = effects is None or any("temperature" in effect.varies for effect in effects)
     is_required = any(c.name == "temperature" and c.required for c in instrument.columns)
-    if is_used and is_required and not one_temperature and "temperature" in columns:
+    if is_used and is_required and not allow_one_temperature and "temperature" in columns:
         files = [table.file for table in converted.tables if table.file != ARRAYS]
         problems += find_single_temperature(columns, format_files(files))
     problems += find_time_reversals(columns, converted.locate)
@@ -122,9 +122,9 @@ def flags_of(
         date = format_date(converted.origin)
         flags.append(f"{names}: time is in s since {date} (dates without time zone are UTC)")
     if len(repeated_rows):
-        place, dropped = converted.locate(int(repeated_rows[0])), ": dropped" * ("time" in columns)
+        place, suffix = converted.locate(int(repeated_rows[0])), ": dropped" * ("time" in columns)
         message = "row(s) repeat an earlier row in every column, first at"
-        flags.append(f"{len(repeated_rows)} {message} {place}{dropped}")
+        flags.append(f"{len(repeated_rows)} {message} {place}{suffix}")
     anomalies = find_anomalies(columns, records, converted.thermometers, output)
     messages = [
         *_find_saturation(columns, output),

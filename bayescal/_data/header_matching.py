@@ -234,8 +234,8 @@ class ColumnRule:
     def propose_headers(self, headers: Sequence[Header]) -> list[Header]:
         """Return the headers with a unit of the column's dimension, else without unit; if possible, similar names."""
         word = normalise(self.column.name)
-        preferred = MOTION_UNITS if ANY in self.kinds else self.kinds
-        tiers = (preferred, self.kinds if ANY in self.kinds else RAW_UNITS * self.is_output)
+        preferred_units = MOTION_UNITS if ANY in self.kinds else self.kinds
+        tiers = (preferred_units, self.kinds if ANY in self.kinds else RAW_UNITS * self.is_output)
         by_kind = ([h for h in headers if find_units(h, kinds)] for kinds in tiers)
         with_unit = next(filter(None, by_kind), [])
         without_unit = [h for h in headers if not split_off_unit(h)]
@@ -592,7 +592,7 @@ class MatchedFile:
 
 
 def _find_known_unit(unit: str | None, kind: str = ANY) -> str | None:
-    """Return the known unit that a text spells, of dimension `kind`; None if none or several."""
+    """Return the known unit of dimension `kind` that a text denotes; None if none or several."""
     matching_names = [name for name, texts in CONTEXT_SPELLINGS.items() if unit in texts]
     return unit_in(unit or "", (kind,)) or (matching_names[0] if len(matching_names) == 1 else None)
 

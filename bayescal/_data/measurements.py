@@ -421,7 +421,7 @@ def measure_tables(
     tables: Sequence[Table],
     instrument: InstrumentLike,
     options: ReadOptions,
-    one_temperature: bool,
+    allow_one_temperature: bool,
     labels: Sequence[str] = ("",),
     problems: Objections | None = None,
 ) -> Measurements:
@@ -438,7 +438,7 @@ def measure_tables(
             converted.append(convert_columns(table, instrument, table_options))
     problems.refuse()
     joined, output = join_files(converted, labels), output_name(instrument)
-    checks.find_problems(joined, instrument, one_temperature).refuse()
+    checks.find_problems(joined, instrument, allow_one_temperature).refuse()
     sources = tuple(
         Source(t.file, t.sha256, t.rows, o.columns.get(output, ""), dict(o.columns), dict(o.units))
         for t, o in zip(tables, file_options, strict=True)

@@ -13,7 +13,7 @@ import numpy as np
 Columns = Mapping[str, np.ndarray]
 
 RECORD = ("device", "axis", "run")  # columns of labels that identify a record in time
-# Time step over the median step, above which it is a gap; four consecutive lost readings are no gap.
+# Time step over the median step, above which it is a gap; four consecutive lost readings are not a gap.
 PAUSE_STEPS = 5.0
 RATE_WINDOW_S = 60.0  # over which a rate of change is estimated
 # Largest relative deviation of equal time steps, for jitter of time stamps.

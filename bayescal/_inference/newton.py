@@ -202,9 +202,9 @@ class NumericDensity:
         return LocalModel(value, gradient, np.diag(curvatures))
 
     def _expand_centrally(
-        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], cross_terms: bool
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], include_cross_terms: bool
     ) -> LocalModel | None:
-        stencil = self._stencil if cross_terms else None
+        stencil = self._stencil if include_cross_terms else None
         stencil = stencil if stencil and np.array_equal(stencil[0], v) else None
         for _ in range(MAX_BACKTRACKS):
             # Steps along the axes reuse basis columns where only noise parameters change.
@@ -222,7 +222,7 @@ class NumericDensity:
                 ratio = np.maximum(STEP_SD / np.sqrt(np.where(is_long, diagonal, 1.0)), MIN_FACTOR)
                 steps = steps * np.where(is_long, ratio, 1.0)
                 continue
-            hessian = self._fill_hessian(v, diagonal) if cross_terms else np.diag(diagonal)
+            hessian = self._fill_hessian(v, diagonal) if include_cross_terms else np.diag(diagonal)
             i, j = np.nonzero(np.triu(np.isnan(hessian)))
             if len(i):
                 shift = delta[i] + delta[j]

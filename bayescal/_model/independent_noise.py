@@ -269,5 +269,5 @@ class Quantised(Noise):
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = jnp.sqrt(white_variance(parameters, frame))
-        unrounded = mean + sd * jax.random.normal(key, mean.shape)
-        return jnp.round(unrounded / self.step) * self.step
+        unrounded_values = mean + sd * jax.random.normal(key, mean.shape)
+        return jnp.round(unrounded_values / self.step) * self.step

@@ -90,7 +90,7 @@ def save(figure: Figure, path: Path) -> Path:
 MAX_PANELS = 6  # panels of residuals in a figure
 MIN_RASTER_READINGS = 3000  # more readings are drawn as a raster image in an SVG
 MARKERS = "o^sDvx"  # markers of the runs, distinct in grey print
-DERIVED_UNITS = {"order": "row"}  # units of covariates that are no columns
+DERIVED_UNITS = {"order": "row"}  # units of covariates that are not columns
 
 
 def residuals(
@@ -244,9 +244,9 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     """
     is_discovery, found_kinds = isinstance(found, Discovery), ("finding", "one of several")
     candidates = [vars(c) for c in found.candidates] if is_discovery else found["candidates"]
-    tested = [c for c in candidates if c["log_bayes_factor"] is not None and not is_quiet(c)]
-    tested.sort(key=lambda c: (c["kind"] in found_kinds, c["log_bayes_factor"]))
-    bars = tested[-MAX_CANDIDATES:]
+    entries = [c for c in candidates if c["log_bayes_factor"] is not None and not is_quiet(c)]
+    entries.sort(key=lambda c: (c["kind"] in found_kinds, c["log_bayes_factor"]))
+    bars = entries[-MAX_CANDIDATES:]
     ax = open_axes(ax, 5.6, 0.3 * len(bars) + 1.3)
     values = [c["log_bayes_factor"] for c in bars]
     colours = [COLOURS.get(c["kind"] or "", BLUE) for c in bars]

@@ -121,7 +121,7 @@ class StepwiseSearch:
     reference: Reference | None
     max_effects: int
     accepted_conflicts: frozenset[str]
-    started: float = 0.0  # time by `time.monotonic` at which the search began, s
+    start_time: float = 0.0  # time by `time.monotonic` at which the search began, s
     reconsidered: tuple[Effect, ...] = ()  # effects of the given model that are evaluated anew
     steps: list[Step] = field(default_factory=list)  # models fitted so far
     library: Library | None = None  # candidates and evaluated structures; None without a search
@@ -167,7 +167,7 @@ class StepwiseSearch:
 
     def list_structures(self, step: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """Set the structures to search (`library`) and the untestable candidates, from a fitted first step."""
-        self.started = time.monotonic()
+        self.start_time = time.monotonic()
         self.steps, c = [step], step.calibration
         # Probabilities need a converged fit; a published calibration that fails its check is not extended by effects.
         if not c.verdict.ok or step.check.contradicts_fixed:
@@ -279,9 +279,9 @@ class StepwiseSearch:
             probabilities = {c.effect: c.probability for c in discovery.candidates}
             names = {e.name: probabilities.get(e.name) for e in self.reconsidered}
             dropped = {n: p for n, p in names.items() if n not in last.calibration.model.names}
-            removed = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
-            note = f"Effects of the given model that the search removed: {removed}."
-            last = last.with_notes([note] * bool(removed))
+            listing = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
+            note = f"Effects of the given model that the search removed: {listing}."
+            last = last.with_notes([note] * bool(listing))
         average, shares = last.calibration, ()
         if self.max_effects > 0 and average.verdict.ok:
             try:
@@ -372,7 +372,7 @@ class StepwiseSearch:
         """Return a summary of the search so far; None if no search is run."""
         if self.library is None:
             return None
-        how = {"seconds": time.monotonic() - self.started, "max_effects": self.max_effects}
+        how = {"seconds": time.monotonic() - self.start_time, "max_effects": self.max_effects}
         return Search.summarise(self.library.structures, complete=complete, stopped=stopped, **how)
 
 

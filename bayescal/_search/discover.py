@@ -371,14 +371,14 @@ def summarise_discovery(
         )
         effect = structures.candidates[scores[0].name] if scores else None
         tested.append(classify_candidate(candidate, findings_by_name.get(name, set()), effect))
-    ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
+    ranking = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     final = posterior.best if stopped else posterior.median_structure
     added_names, model = final.effects - structure.effects, structures.evaluate(final).sized_model
     best_effects = [model.effect(name) for name in structures.candidates if name in added_names]
     is_stated = include_scores and not stopped
     # Effects that another experiment should tell apart, the most probable first.
     first_finding = list(findings[0].effects) if findings else []
-    leads = [c.effect for c in ranked if c.kind == "lead"] if len(first_finding) < 2 else []
+    leads = [c.effect for c in ranking if c.kind == "lead"] if len(first_finding) < 2 else []
     rivals = list(dict.fromkeys(first_finding + leads))[:MAX_RIVALS]
     laws = {"": structures.base.noise, **structures.noise_laws} if structures.noise_laws else {}
     pairs = ((law, posterior.law_probability(name)) for name, law in laws.items())
@@ -391,7 +391,7 @@ def summarise_discovery(
         latent=tuple(sorted(structures.latent_effects(evaluation.structure))),
         equivalent=list_equivalence_claims(structures, evaluation.structure),
         findings=findings,
-        candidates=(*ranked, *untestable),
+        candidates=(*ranking, *untestable),
         best=tuple(best_effects),
         rivals=tuple(structures.candidates[posterior.most_probable_form(n)] for n in rivals),
         noise=tuple(sorted(law_rows, key=lambda law: -law.probability)),

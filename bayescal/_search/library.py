@@ -216,12 +216,12 @@ def _list_prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorSca
             start = {effect.shape_name(s): c for s, c in pairs}
             prior_scales.append(PriorScale(sd * weights, start, shape_values, log_weight))
         return prior_scales
-    estimated = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
+    indices = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
     is_spread = np.repeat([c.group_sd is not None for c in effect.coefficients], np.diff(ends))
-    spreads = ndtri(0.5 + 0.5 * levels) if estimated else np.ones(1)  # a half-normal's quantiles
+    spreads = ndtri(0.5 + 0.5 * levels) if indices else np.ones(1)  # a half-normal's quantiles
     factors = {1.0: 1.0} if is_spread.all() else SIZE_FACTORS
     for z, (factor, p) in itertools.product(spreads, factors.items()):
-        start = {effect.group_sd_name(i): math.log(z) for i in estimated}
+        start = {effect.group_sd_name(i): math.log(z) for i in indices}
         scale_sd, log_weight = sd * np.where(is_spread, z, factor), math.log(p / len(spreads))
         prior_scales.append(PriorScale(scale_sd, start, {}, log_weight))
     return prior_scales

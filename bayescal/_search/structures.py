@@ -207,7 +207,7 @@ class Structures:
         return False
 
     def log_prior(self, structure: Structure) -> float:
-        """Return a structure's log prior odds against the base."""
+        """Return a structure's log prior odds relative to the base."""
         law_log_odds = log_prior(self.noise_laws, structure.noise)
         return law_log_odds + sum(map(self.log_odds.__getitem__, structure.effects))
 

@@ -128,7 +128,7 @@ _MAX_SPAN_SECONDS = 1e7  # four months; microseconds that are read as millisecon
 
 
 def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Return times relative to the earliest, and this origin, s since 1970; values that are no dates, and None.
+    """Return times relative to the earliest, and this origin, s since 1970; other numbers unchanged, and None.
 
     Relative times are rounded to the microsecond, near the resolution of float64 for seconds since 1970.
     """
@@ -225,7 +225,7 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
 
 
 def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Parse texts, one per reading, as numbers; also keep the texts if any is no number, since they may be dates.
+    """Parse texts, one per reading, as numbers; also keep the texts if any is not a number, since they may be dates.
 
     Empty texts, "nan" and other marks of missing readings give NaN; `decimal` is a point or a comma.
     """

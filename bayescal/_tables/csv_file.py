@@ -190,13 +190,13 @@ def _read_header(text: CsvText) -> None:
     of the test, or are in a comment. If no header is found, blanks are tried as separators.
     """
     header, lines = None, _read_first_lines(text)
-    for commented, blanks in product((False, True), (None, *_BLANKS)):
-        texts = _read_first_lines(text, commented)
+    for include_comments, blanks in product((False, True), (None, *_BLANKS)):
+        texts = _read_first_lines(text, include_comments)
         if header := _find_header([_insert_tabs(x.encode(), blanks).decode() for _, x, _ in texts]):
             if blanks:
                 text.notes.append("its fields are separated by blanks")
                 text.data = _insert_tabs(text.data, blanks)
-            lines = _read_first_lines(text, commented)
+            lines = _read_first_lines(text, include_comments)
             break
     if not lines:
         expected = "a header 'name [unit], …' and rows of readings were expected"
@@ -223,13 +223,13 @@ def _read_header(text: CsvText) -> None:
         text.notes.append(f"its units are read from row {row + 1}")
 
 
-def _read_first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
-    """Return row, text and end offset of the first lines that are not blank and, unless `commented`, no comments."""
+def _read_first_lines(text: CsvText, include_comments: bool = False) -> list[tuple[int, str, int]]:
+    """Return row, text and end offset of first lines that are neither blank nor, unless `include_comments`, comments."""
     stream, first_lines, row = io.BytesIO(text.data), [], 0
     while len(first_lines) < _HEADER_ROWS and (raw := stream.readline()):
         row += 1
         line = raw.removeprefix(_BYTE_ORDER_MARK if row == 1 else b"").decode("utf-8", "replace")
-        line = line.removeprefix("#").lstrip() if commented else line
+        line = line.removeprefix("#").lstrip() if include_comments else line
         if line.strip() and not line.startswith("#"):
             first_lines.append((row, line.rstrip("\r\n"), stream.tell()))
     return first_lines
@@ -289,8 +289,8 @@ def _scan_lines(text: CsvText) -> None:
     row, blank_rows, ragged_rows = text.first_row - 1, list[int](), list[tuple[int, str, int]]()
     for row, line in enumerate(text.rows(), text.first_row):
         if b'"' in line:
-            decoded, cure = line.decode(), "; a field cannot contain a line break"
-            field_count = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
+            decoded_line, cure = line.decode(), "; a field cannot contain a line break"
+            field_count = len(text.split(decoded_line.rstrip("\r\n"), row, cure=cure))
         elif line.strip(blank_bytes):
             field_count = line.count(separator) + 1
         else:

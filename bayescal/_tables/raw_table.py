@@ -108,7 +108,7 @@ def _format_problems(problems: Sequence[Objection]) -> str:
 
 
 ROW = "reading"  # name of the dimension of readings
-MAX_COLUMNS = 100_000  # a file with more is transposed, or is no table
+MAX_COLUMNS = 100_000  # a file with more is transposed, or not a table
 
 
 def format_bytes(size: float) -> str:

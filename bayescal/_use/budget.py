@@ -151,8 +151,8 @@ class Budget(Printed):
     def _list_parts(self) -> list[str | ResultTable]:
         b = self.in_output_unit()
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
-        omitted = len(b.coefficients) - len(by_coefficient.rows)
-        note = f" {omitted} coefficients below {100 * MIN_PRINTED_SHARE:g} % are not shown."
+        omitted_count = len(b.coefficients) - len(by_coefficient.rows)
+        note = f" {omitted_count} coefficients below {100 * MIN_PRINTED_SHARE:g} % are not shown."
         u, total = b.uncertainty, b.expanded_reading / b.k
         uncertainties = u, b.noise, total, b.expanded, b.expanded_reading, b.k_95 * u
         texts = (number(s) if s >= 100 else f"{s:#.3g}" for s in uncertainties)
@@ -162,7 +162,7 @@ class Budget(Printed):
         parts = [
             wrap(f"Uncertainty budget of {b.stimulus} at {b.place}"),
             by_coefficient,
-            wrap(f"{SHARES_NOTE}{note * (omitted > 0)}", ""),
+            wrap(f"{SHARES_NOTE}{note * (omitted_count > 0)}", ""),
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {total}.",
             wrap(f"{expanded} {coverage}", ""),

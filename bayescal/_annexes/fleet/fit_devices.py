@@ -195,8 +195,8 @@ def _linearise(
 ) -> tuple[Float[np.ndarray, "*b n"], Float[np.ndarray, "*b n p"]]:
     """Return the residuals of the outputs at the prior means, and the Jacobian with respect to the coefficients."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
-    linearised = problem.linearise_dynamic(problem.mean_of_x, hyper, problem.terms)
-    return problem.record.y - linearised.mean, linearised.jacobian
+    linear_model = problem.linearise_dynamic(problem.mean_of_x, hyper, problem.terms)
+    return problem.record.y - linear_model.mean, linear_model.jacobian
 
 
 def _fit_jointly(

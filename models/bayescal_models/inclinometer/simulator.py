@@ -29,7 +29,7 @@ PHASES = (0.0, 0.7)  # rad, initial phases of temperature and settling
 
 
 class Conditions:
-    """True conditions of a campaign, one entry per reading, ordered by device and mounting.
+    """Conditions of a campaign, one entry per reading, ordered by device and mounting.
 
     Attributes:
         plan: plan of the test.

@@ -36,7 +36,7 @@ MOVE_DURATION_S = 60.0  # s, time to rotate to a position and come to rest
 
 
 class Conditions:
-    """True conditions of a test: one row per reading, one column per instant within the reading's averaging time.
+    """Conditions of a test: one row per reading, one column per instant within the reading's averaging time.
 
     Attributes:
         plan: plan of the test.

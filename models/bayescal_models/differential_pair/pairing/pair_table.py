@@ -121,7 +121,7 @@ class PairTable:
             if (pair.outer, pair.inner) == (outer, inner):
                 return pair
         raise bc.InputError(
-            f"{outer!r} and {inner!r} are no pair: give an outer and an inner device"
+            f"{outer!r} and {inner!r} are not a pair: give an outer and an inner device"
         )
 
     def to_json_data(self) -> dict[str, Any]:
