@@ -126,7 +126,7 @@ def choose_groups(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndar
 @run_on_one_thread
 def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
     """Predict every group from the others; return None if the noise is not Gaussian."""
-    if not calibration.model.noise.gaussian:
+    if not calibration.model.noise.is_gaussian:
         return None
     kind, members, codes = choose_groups(calibration.readings)
     mode, problem = calibration.mode, calibration.problem

@@ -122,7 +122,7 @@ class Density(NumericDensity):
 
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
         """Return the Gram matrix of [J r], Jacobian and residuals, at φ; weighted by Σ⁻¹ (noise covariance Σ)."""
-        if not self.problem.noise.gaussian:
+        if not self.problem.noise.is_gaussian:
             return Gram(*(part[0] for part in self._compute_laplace_grams(v[None])))
         line = self._linearise_at(v, hyper)
         return Gram.split(*self._get_whitening(line, hyper).gram(self._stack_residual_table(line)))
@@ -135,7 +135,7 @@ class Density(NumericDensity):
         problem = self.problem
         if self.tabulated is not None:
             return self.tabulated.grams(vs)
-        if not problem.noise.gaussian:
+        if not problem.noise.is_gaussian:
             parts = range(0, len(vs), self._batch_size)
             grams = [self._compute_laplace_grams(vs[i : i + self._batch_size]) for i in parts]
             return Gram(*map(np.concatenate, zip(*grams, strict=True)))
@@ -250,7 +250,7 @@ class Density(NumericDensity):
     def rss(self, hyper: Values, gram: Gram) -> float:
         """Return the whitened residual sum of squares, or the deviance of a non-Gaussian law."""
         noise, record = self.problem.noise, self.problem.record
-        if noise.gaussian:
+        if noise.is_gaussian:
             return gram.rtr
         line = self.problem.linearise(self.x, hyper)
         residual = record.y - line.mean

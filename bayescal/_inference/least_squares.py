@@ -189,7 +189,7 @@ def refine(
     sd = np.sqrt(np.diag(covariance))
     step = np.max(np.abs(conditional.theta - theta) / sd, initial=0.0)
     converged = converged or bool(step < XTOL_SD)
-    if (use_full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
+    if (use_full_hessian or not fit.is_gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.compute_covariance(theta, v, conditional.root)
     return Solution(mode._replace(x=theta[: problem.size], v=v), covariance, converged)
 
@@ -200,10 +200,10 @@ class _Refinement:
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode
         self.is_homoscedastic = problem.noise.even(problem.record.frame) and not problem.is_noisy
-        layout, self.gaussian = problem.layout, problem.noise.gaussian
+        layout, self.is_gaussian = problem.layout, problem.noise.is_gaussian
         # Only a common noise sd is re-estimated; without degrees of freedom its prior alone would determine it.
         count = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
-        has_one_sd = self.gaussian and self.is_homoscedastic and problem.record.size > count
+        has_one_sd = self.is_gaussian and self.is_homoscedastic and problem.record.size > count
         noise = layout.phi_indices("noise") if has_one_sd else []
         self.noise_index = noise[0] if len(noise) == 1 else None
         self.shapes = layout.nonlinear_phi
@@ -291,7 +291,7 @@ class _Refinement:
         """
         problem = self.problem
         layout, noise = problem.layout, problem.noise
-        if not (noise.gaussian and noise.independent and start.size):
+        if not (noise.is_gaussian and noise.independent and start.size):
             return start
         prior, scale = self.prior(v), np.array(self.prior(v).sd)
         for b in (b for b in layout.x_blocks if b.coefficient.flat):

@@ -136,7 +136,7 @@ class LinearModel:
     def scores(self) -> Float[np.ndarray, "n"]:
         """Return the conditional residuals as scores that are standard normal under the noise law (n,)."""
         problem = self.problem
-        if problem.noise.gaussian:
+        if problem.noise.is_gaussian:
             return self.white_conditional
         values, residuals = problem.hyper(self.mode.v), self.conditional_residuals
         return normal_scores(problem.noise, values, problem.record, residuals, self.extra)

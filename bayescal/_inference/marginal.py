@@ -78,7 +78,7 @@ class Marginal(Method):
             if not (fault and self.chains):
                 return finish("chains=False" if fault else "")
             fallback = UNRELIABLE_WEIGHTS if problem.is_affine else TOO_NONLINEAR
-            reason = fallback if problem.noise.gaussian else NOT_GAUSSIAN
+            reason = fallback if problem.noise.is_gaussian else NOT_GAUSSIAN
             return self._run_nuts(problem, mode, seed, (*notes, reason.format(fault)))
         except deadline.TimeIsUp as interrupt:
             return finish(str(interrupt))

@@ -100,7 +100,7 @@ def whitening(
     """
     if not law.independent:
         return Whitening(law, values, record, added_variance)
-    if law.gaussian or residual is None:
+    if law.is_gaussian or residual is None:
         return SdWhitening(np.sqrt(variance(law, values, record) + added_variance))
     terms = density_terms(law, values, record, residual, added_variance)
     # Under a scale mixture of log density f a residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
@@ -235,7 +235,7 @@ def _compute_log_densities(
     law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Batch, extra: Any
 ) -> Float[np.ndarray, "b n"]:
     """Return the log densities of independent readings, by NumPy."""
-    if law.gaussian:
+    if law.is_gaussian:
         variance = variances(law, hyper, record) + extra
         return -0.5 * (residuals**2 / variance + np.log(variance) + LOG_2PI)
     frame = add_variance(record.frame, np.asarray(extra) if np.ndim(extra) else None)
@@ -247,7 +247,7 @@ def draw_samples(
     law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Batch, seed: int
 ) -> Float[np.ndarray, "b n"]:
     """Draw readings (b, n) about expected outputs `means` (b, n), output unit, for b draws of φ."""
-    if law.independent and law.gaussian:
+    if law.independent and law.is_gaussian:
         deviates = np.random.default_rng(seed).standard_normal(means.shape)
         return means + np.sqrt(variances(law, hyper, record)) * deviates
     # A key is independent of the number of keys: generate them in fixed batches, by one program.

@@ -154,7 +154,7 @@ class BatchedDensity:
         tabulated, self.table = self.density.tabulated, None
         if tabulated is not None and np.all(np.isfinite(mode.covariance)):
             self.table = tabulated.fit_polynomials(mode.v, mode.covariance, mode.flat)
-        self.is_exact = problem.noise.gaussian
+        self.is_exact = problem.noise.is_gaussian
         self.batch_size = max(16, MAX_ARRAY_ELEMENTS // (problem.size + 1) ** 2)
         if self.table is None:  # small batches, between which the deadline is checked
             self.batch_size = min(self.batch_size, max(16, CACHE_ELEMENTS // self.size))
@@ -333,7 +333,7 @@ def draw_weighted(
     prior_component = make_prior_component([h.prior for h in problem.hypers], problem.log_priors)
     if prior_component is not None and density.table is None:
         prior_component = prior_component._replace(weight=COSTLY_PRIOR_WEIGHT)
-    is_student_t = is_student_t or not problem.noise.gaussian
+    is_student_t = is_student_t or not problem.noise.is_gaussian
     earlier_rounds = None if earlier_draws is None else earlier_draws.rounds
     while True:
         min_count = MIN_PROPOSALS_PER_STRUCTURE[density.table is None]

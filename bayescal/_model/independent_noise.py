@@ -32,7 +32,7 @@ class White(Noise):
     """
 
     scale: Positive = HalfCauchy(1.0)
-    gaussian: ClassVar[bool] = True
+    is_gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "white"
     looks_like: ClassVar[str] = "white noise"
     first: ClassVar[bool] = True
@@ -81,7 +81,7 @@ class Heteroscedastic(Noise):
     slope: Normal = Normal(0.0, 1.0)
     curvature: Normal = Normal(0.0, 1.0)
     proportional: bool = False
-    gaussian: ClassVar[bool] = True
+    is_gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "heteroscedastic"
 
     @property
@@ -172,7 +172,7 @@ class StudentT(Noise):
 
     scale: Positive = HalfCauchy(1.0)
     freedom: Positive = LogNormal(8.0, 0.8)
-    gaussian: ClassVar[bool] = False
+    is_gaussian: ClassVar[bool] = False
     law: ClassVar[str] = "student_t"
     words: ClassVar[str] = "Student-t"
     looks_like: ClassVar[str] = "white noise with outliers (Student-t)"
@@ -235,7 +235,7 @@ class Quantised(Noise):
 
     step: float
     scale: Positive = HalfCauchy(1.0)
-    gaussian: ClassVar[bool] = False
+    is_gaussian: ClassVar[bool] = False
     law: ClassVar[str] = "quantised"
     looks_like: ClassVar[str] = "rounding and white noise"
 

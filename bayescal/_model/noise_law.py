@@ -36,7 +36,7 @@ LOG_2PI = math.log(2 * math.pi)
 AVERAGING_TIME_RUN_FRACTIONS = np.geomspace(0.1, 0.5, 9)  # of the longest run, for Allan deviations
 
 
-@renamed(known="registry", usual="default", followed="covariate")
+@renamed(known="registry", usual="default", followed="covariate", gaussian="is_gaussian")
 @static
 @dataclass_transform(frozen_default=True)
 class Noise(abc.ABC):
@@ -47,7 +47,7 @@ class Noise(abc.ABC):
 
     Attributes:
         law: name in files and on the command line.
-        gaussian: whether coefficients can be integrated out in closed form, by `whiten`; otherwise the class defines
+        is_gaussian: whether coefficients can be integrated out in closed form, by `whiten`; otherwise the class defines
             `log_density`.
         independent: whether the noise of readings is independent; otherwise the class defines `whiten` and `sample`.
         words: name in printed text, if not `law`.
@@ -59,7 +59,7 @@ class Noise(abc.ABC):
         TypeError: a derived class lacks required attributes or methods, or has the name of another law.
     """
 
-    gaussian: ClassVar[bool]
+    is_gaussian: ClassVar[bool]
     law: ClassVar[str]
     independent: ClassVar[bool] = True
     first: ClassVar[bool] = False
@@ -74,6 +74,8 @@ class Noise(abc.ABC):
         super().__init_subclass__(**options)
         if interface:  # an abstract base of several laws
             return
+        if "gaussian" in vars(cls):  # former name
+            cls.is_gaussian = vars(cls)["gaussian"]
         _check_noise_class(cls)
         Noise.registry[cls.__name__] = cls
         static(cls)
@@ -283,7 +285,7 @@ def compute_log_density(
 
     If the law is not Gaussian, `added_variance` is added to each reading's known variance.
     """
-    if law.gaussian and added_variance is not None:
+    if law.is_gaussian and added_variance is not None:
         return _log_density_by_whitening(law, y - mean, added_variance, parameters, frame)
     return law.log_density(y, mean, parameters, add_variance(frame, added_variance))
 
@@ -328,12 +330,12 @@ def _check_noise_class(kind: type[Noise]) -> None:
         if "law" in vars(base):
             raise TypeError(f"{name}: derive a noise law from Noise, not from {base.__name__}")
     attributes = vars(kind)
-    if names := [n for n in ("law", "gaussian") if n not in attributes]:
+    if names := [n for n in ("law", "is_gaussian") if n not in attributes]:
         raise TypeError(f'{name}: a noise law needs {" and ".join(names)}, as in law = "my_law"')
-    methods = [] if attributes["gaussian"] else ["log_density", "sample"]
+    methods = [] if attributes["is_gaussian"] else ["log_density", "sample"]
     methods += [] if attributes.get("independent", True) else ["whiten", "sample"]
     if names := [n for n in dict.fromkeys(methods) if getattr(kind, n) is getattr(Noise, n)]:
-        reason = "has correlated readings" if attributes["gaussian"] else "is not Gaussian"
+        reason = "has correlated readings" if attributes["is_gaussian"] else "is not Gaussian"
         raise TypeError(f"{name} {reason}: it must define the method {' and '.join(names)}")
     for other in Noise.registry.values():
         built_in = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__

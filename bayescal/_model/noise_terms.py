@@ -365,10 +365,7 @@ def _compute_relative_power(
 
 
 class MovingAverageTerm(NoiseTerm):
-    """First-order moving average eₜ + θ·eₜ₋₁ of independent, homoscedastic errors e; states: eₜ and θ·eₜ₋₁.
-
-    Readings are assumed evenly spaced.
-    """
+    """Moving average eₜ + θ·eₜ₋₁ of evenly spaced readings, e independent and homoscedastic; states eₜ and θ·eₜ₋₁."""
 
     theta: ClassVar[float]
 

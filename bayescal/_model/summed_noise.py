@@ -187,7 +187,7 @@ class SummedNoise(SumOfTerms):
     correlated: Positive = HalfCauchy(1.0)
     column: str = ""
     scatter: str = ""
-    gaussian: ClassVar[bool] = True
+    is_gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "sum"
     looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
     independent: ClassVar[bool] = False
@@ -238,7 +238,7 @@ class OrnsteinUhlenbeck(SumOfTerms):
     correlated: Positive = HalfCauchy(1.0)
     terms: ClassVar[tuple[str, ...]] = ("correlated",)
     first_rank: ClassVar[int] = 0
-    gaussian: ClassVar[bool] = True
+    is_gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "ornstein_uhlenbeck"
     words: ClassVar[str] = "Ornstein–Uhlenbeck"
     looks_like: ClassVar[str] = "noise that is correlated in time"

@@ -201,7 +201,7 @@ class StepwiseSearch:
     def step_method(self, model: Model) -> Method | None:
         """Return the method before the last step: least squares, or `method` for heavy tails without a deadline."""
         has_limit = deadline.current().ends_at < math.inf
-        return QUICK if model.noise.gaussian or has_limit else self.method
+        return QUICK if model.noise.is_gaussian or has_limit else self.method
 
     def run_search(self, follow: Callable[[], None] = lambda: None) -> None:
         """Search the structures until the search is complete or the deadline has passed."""

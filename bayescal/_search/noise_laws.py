@@ -100,7 +100,7 @@ def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list
     """
     priors = law.parameters()
     if start and np.any(record.y):
-        is_unimodal = law.independent and law.gaussian
+        is_unimodal = law.independent and law.is_gaussian
         others = () if is_unimodal else ({n: level} for n in priors for level in STARTING_LEVELS)
         return [{**start, **point} for point in ({}, *others)]
     starts = list[dict[str, float]]()

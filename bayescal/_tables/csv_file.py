@@ -224,7 +224,7 @@ def _read_header(text: CsvText) -> None:
 
 
 def _read_first_lines(text: CsvText, include_comments: bool = False) -> list[tuple[int, str, int]]:
-    """Return row, text and end offset of first lines that are neither blank nor, unless `include_comments`, comments."""
+    """Return (row, text, end offset) of first lines that are neither blank nor, unless `include_comments`, comments."""
     stream, first_lines, row = io.BytesIO(text.data), [], 0
     while len(first_lines) < _HEADER_ROWS and (raw := stream.readline()):
         row += 1

@@ -46,7 +46,7 @@ class Proportional(bc.Noise):
     """A law of one's own: s² + (p·x)², x the pressure in 100 kPa."""
 
     law: ClassVar[str] = "proportional_to_pressure"
-    gaussian: ClassVar[bool] = True
+    gaussian: ClassVar[bool] = True  # former name of `is_gaussian`
 
     @property
     def needs(self):

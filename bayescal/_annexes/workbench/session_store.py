@@ -175,7 +175,7 @@ def generate_script(
     """
     steps = []
     for state in path:
-        c, is_gaussian = state.calibration, state.model.noise.gaussian
+        c, is_gaussian = state.calibration, state.model.noise.is_gaussian
         step = {
             "title": ws.to_printable(f"{state.number} {state.title}"),
             "file": str(locate_calibration(folder, state.number)),

@@ -66,7 +66,7 @@ class NoiseWhileChanging(bc.Noise):
 
     scale: bc.HalfCauchy = bc.HalfCauchy(100.0)
     share: bc.HalfCauchy = bc.HalfCauchy(1.0)
-    gaussian: ClassVar[bool] = True
+    is_gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "while_changing"
     words: ClassVar[str] = "larger while the acceleration changes"
     looks_like: ClassVar[str] = "noise of readings taken while the acceleration changed"
