@@ -41,7 +41,7 @@ from bayescal._data import allan_deviation as allan
 from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, EvenRuns
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import convert, parse, same_dimension, unit_label
-from bayescal._inference.newton import NOWHERE, GaussianFit, NumericDensity, fit_gaussian, maximise
+from bayescal._inference.newton import LOG_ZERO, GaussianFit, NumericDensity, fit_gaussian, maximise
 from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._inference.sampling import draw_by_importance
 from bayescal._model.noise_law import WHITE
@@ -338,7 +338,7 @@ class _RestRecord(NamedTuple):
             parameters = {n: p.value(v[:, i]) for i, (n, p) in enumerate(priors.items())}
             log_prior = sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
             log_posterior = self.spectrum.log_likelihood(model, parameters) + log_prior
-            return np.where(np.isfinite(log_posterior), log_posterior, NOWHERE)
+            return np.where(np.isfinite(log_posterior), log_posterior, LOG_ZERO)
 
         return evaluate
 

@@ -34,7 +34,7 @@ from bayescal._search.own_files import find_file_line, format_error
 GC_THRESHOLD_OBJECTS = 1_000_000
 # Placeholder of an option's value in the help, by type.
 METAVARS = {"Path": "FILE", "float": "NUMBER", "int": "INTEGER", "str": "TEXT", "Texts": "TEXT"}
-INTERRUPTED = 130  # exit status 128 + SIGINT, by the convention of shells
+INTERRUPT_STATUS = 130  # exit status 128 + SIGINT, by the convention of shells
 OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory")  # XLA, C++, C
 
 
@@ -97,7 +97,7 @@ def run_command() -> int:
     except BayescalError as error:
         return _report_failure(str(error), 2, is_list=bool(getattr(error, "problems", ())))
     except (typer.Abort, KeyboardInterrupt):
-        return _report_failure("interrupted: files written before are unchanged", INTERRUPTED)
+        return _report_failure("interrupted: files written before are unchanged", INTERRUPT_STATUS)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

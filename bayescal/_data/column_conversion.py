@@ -42,7 +42,7 @@ _MAX_QUOTED = 3  # cells of a column quoted in a message
 _OVERLOAD_FAULT = "reads {:.4g}, a code for an overload or no reading (SCPI: ±9.9E37, 9.91E37)"
 _PLACEHOLDER_FAULT = "reads {:g}, far from all other numbers: a placeholder for a missing reading"
 _EPOCH_OFFSET_S = 2_082_844_800.0  # from 1904 to 1970
-_EARLIEST_SINCE_1904_S = table_cells.EARLIEST + _EPOCH_OFFSET_S  # the year 2000 counted from 1904
+_EARLIEST_SINCE_1904_S = table_cells.EARLIEST_S + _EPOCH_OFFSET_S  # the year 2000 counted from 1904
 _CONVERTER_BITS = (12, 16, 20, 24, 32)  # word lengths of analogue-to-digital converters
 
 

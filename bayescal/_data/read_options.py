@@ -21,7 +21,7 @@ from bayescal._data.unit_conversion import (
     parse_quantity,
     same_dimension,
 )
-from bayescal._tables.cells import EARLIEST, LATEST, ORDERS, parse_date
+from bayescal._tables.cells import EARLIEST_S, LATEST_S, ORDERS, parse_date
 from bayescal._tables.raw_table import (
     Header,
     Objection,
@@ -231,7 +231,7 @@ def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
     """Return the columns expected in a file, by name: the instrument's, and those common to all instruments."""
     expected = {column.name: column for column in instrument.columns}
     if (time := expected.get("time")) is not None and time.high is None:
-        expected["time"] = replace(time, high=LATEST)
+        expected["time"] = replace(time, high=LATEST_S)
     for name in RECORD:
         expected.setdefault(name, Column(name, None, required=False))
     if (output := expected.get(output_name(instrument))) is not None:
@@ -267,7 +267,7 @@ def parse_begin(text: str) -> tuple[float, bool]:
     """
     with contextlib.suppress(ValueError):
         (seconds,) = parse_date(text).values()
-        if seconds >= EARLIEST:
+        if seconds >= EARLIEST_S:
             return seconds, True
     with contextlib.suppress(InputError):
         number, unit = parse_quantity(text)

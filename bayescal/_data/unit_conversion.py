@@ -127,8 +127,8 @@ REGISTRY = (
     Unit("ppm", 1e-6),
     Unit("ppb", 1e-9),
 )  # fmt: skip
-BASE = [unit.name for unit in REGISTRY if unit.name == unit.base]
-KNOWN_UNITS = {name: (1.0, name) for name in BASE} | {
+BASE_UNITS = [unit.name for unit in REGISTRY if unit.name == unit.base]
+KNOWN_UNITS = {name: (1.0, name) for name in BASE_UNITS} | {
     prefix + unit.name: (_PREFIXES.get(prefix, 1.0) * unit.size, unit.base)
     for unit in REGISTRY
     for prefix in ("", *unit.prefixes)
@@ -397,7 +397,7 @@ def basis_factor(
     unit_sets = [column_units, (*column_units, *time_units)]
     # an undeclared column in m/s² is stored in local g: the coefficient must be per g
     if is_open and not ("m" in basis and basis.get("s") == -2 * basis["m"]):
-        unit_sets.append((*column_units, *BASE))
+        unit_sets.append((*column_units, *BASE_UNITS))
     unit_sets.append((*column_units, *time_units, *others))
     for units in unit_sets:
         product_factor = _parse_product(basis, tuple(dict.fromkeys(units)), unit, slot_unit)

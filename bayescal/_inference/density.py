@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._inference.gaussian import Conditional, Gram, cholesky, condition, solve_tri
-from bayescal._inference.newton import NOWHERE, HessianGuess, NumericDensity
+from bayescal._inference.newton import LOG_ZERO, HessianGuess, NumericDensity
 from bayescal._inference.noise_on_record import (
     SdWhitening,
     Whitening,
@@ -265,25 +265,25 @@ class Density(NumericDensity):
         return self._latest[1]
 
     def value(self, v: np.ndarray) -> float:
-        """Return the log density at the coordinates v of φ; −1e300 (`NOWHERE`) if undefined."""
+        """Return the log density at the coordinates v of φ; −1e300 (`LOG_ZERO`) if undefined."""
         if self.tabulated is None:
             return super().value(v)
         local_model = self.evaluate(v)
-        return NOWHERE if local_model is None else local_model.log_density
+        return LOG_ZERO if local_model is None else local_model.log_density
 
     def condition_at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
-        """Return the log density at φ and the conditional posterior of x given φ; (`NOWHERE`, None) if undefined."""
+        """Return the log density at φ and the conditional posterior of x given φ; (`LOG_ZERO`, None) if undefined."""
         problem = self.problem
         if self.tabulated is not None:
             result = self.tabulated.evaluate(v, self.flat_scales, False)
-            return (NOWHERE, None) if result is None else (result.log_density, result.conditional)
+            return (LOG_ZERO, None) if result is None else (result.log_density, result.conditional)
         hyper = problem.hyper(v)
         prior, gram = problem.prior(hyper, self.flat_scales), self.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
-            return NOWHERE, None
+            return LOG_ZERO, None
         conditional = condition(gram, problem.record.size, prior, self.x)
         value = math.nan if conditional is None else conditional.log_marginal + problem.log_prior(v)
-        return (value, conditional) if math.isfinite(value) else (NOWHERE, None)
+        return (value, conditional) if math.isfinite(value) else (LOG_ZERO, None)
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """Return the log density at several φ (k,), given by their coordinates (k, d)."""
@@ -296,4 +296,4 @@ class Density(NumericDensity):
         else:  # no coefficients: the noise law alone
             law, record = problem.noise, problem.record
             log_density = total_log_density(law, record, record.y[None], problem.hyper(vs.T))
-        return np.nan_to_num(log_density + problem.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)
+        return np.nan_to_num(log_density + problem.log_priors(vs), nan=LOG_ZERO, neginf=LOG_ZERO)

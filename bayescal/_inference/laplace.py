@@ -18,7 +18,7 @@ from jaxtyping import Float
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Conditional, compute_column_scales, condition
-from bayescal._inference.newton import FTOL_NATS, NOWHERE, HessianGuess, fit_gaussian, maximise
+from bayescal._inference.newton import FTOL_NATS, LOG_ZERO, HessianGuess, fit_gaussian, maximise
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 
@@ -272,7 +272,7 @@ def fit_at_mode(
     x = density.x if x is None else x
     is_group_sd = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)
     fit = fit_gaussian(density, v, is_group_sd, exact)
-    if fit.log_density <= NOWHERE:
+    if fit.log_density <= LOG_ZERO:
         fit = fit._replace(log_evidence=-math.inf, indefinite=True)
         change = math.inf
     fit_results = fit.covariance, fit.log_density, fit.log_evidence

@@ -65,7 +65,7 @@ class LeastSquares(Method):
     def outcome(self, layout: Layout, solution: Solution, seed: int) -> Outcome:
         """Return draws of the Gaussian approximation about a solution, and its verdict."""
         reasons = [] if solution.converged else [trust.NOT_CONVERGED]
-        reasons += [] if np.all(np.isfinite(solution.covariance)) else [trust.SINGULAR]
+        reasons += [] if np.all(np.isfinite(solution.covariance)) else [trust.SINGULAR_HESSIAN_TEXT]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
             f"{kind} covariance; noise and between-group standard deviations are fixed at their estimates: intervals "

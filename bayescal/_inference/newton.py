@@ -28,7 +28,7 @@ FTOL_NATS = 1e-6  # default tolerance of the predicted increase, about the error
 MAX_FTOL_NATS = 0.01  # tolerance below `coarse_below`
 MAX_OUTSIDE = 0.1  # largest squared length, outside group deviations, of an eigenvector along them
 MIN_FACTOR = 0.1  # smallest factor by which a difference step is shortened at once
-NOWHERE = -1e300  # log density where it is undefined
+LOG_ZERO = -1e300  # log density where it is undefined
 
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
@@ -196,7 +196,7 @@ class NumericDensity:
     ) -> LocalModel | None:
         """Return the quadratic model at v by forward differences, with a given diagonal curvature."""
         value, *shifted_values = self.values(np.concatenate([v[None], v + np.diag(steps)]))
-        if not min(value, *shifted_values) > NOWHERE:
+        if not min(value, *shifted_values) > LOG_ZERO:
             return None
         gradient = (np.array(shifted_values) - value) / steps + 0.5 * steps * curvatures
         return LocalModel(value, gradient, np.diag(curvatures))
@@ -213,7 +213,7 @@ class NumericDensity:
                 points = np.concatenate([v[None], v + delta, v - delta])
                 stencil = v.copy(), steps, self.values(points)
             (_, steps, (value, *values)), self._stencil, stencil = stencil, stencil, None
-            if not value > NOWHERE:
+            if not value > LOG_ZERO:
                 return None
             upper_values, lower_values = np.reshape(values, (2, len(v)))
             diagonal = 2 * value - upper_values - lower_values
@@ -227,7 +227,7 @@ class NumericDensity:
             if len(i):
                 shift = delta[i] + delta[j]
                 values = self.values(np.concatenate([v + shift, v - shift]))
-                if not np.min(values) > NOWHERE:
+                if not np.min(values) > LOG_ZERO:
                     steps = BACKTRACK_FACTOR * steps
                     continue
                 cross = 2 * value - values.reshape(2, -1).sum(axis=0)

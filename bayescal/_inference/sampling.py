@@ -25,7 +25,7 @@ from bayescal._inference.density import Density
 from bayescal._inference.gaussian import XDraws
 from bayescal._inference.joint import T_DOF, correct_weights, draw_normals
 from bayescal._inference.laplace import Mode, find_mode
-from bayescal._inference.newton import NOWHERE, GaussianFit, Values
+from bayescal._inference.newton import LOG_ZERO, GaussianFit, Values
 from bayescal._inference.problem import Problem
 from bayescal._inference.trust import MAX_K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
@@ -172,15 +172,15 @@ class BatchedDensity:
             # A random subset, reweighted: a distant mode is detected at bounded cost.
             is_outside = ~self.table.contains(v)
             is_computed = is_outside & (self.rng.random(len(v)) < self.far_fraction)
-            draws.log_marginal[is_outside] = NOWHERE
+            draws.log_marginal[is_outside] = LOG_ZERO
             if is_computed.any():
                 grams, z_computed = self.density.grams(v[is_computed]), z[is_computed]
                 computed_draws = self.problem.draw_x(grams, v[is_computed], *args, z_computed)
                 for target, source in zip(draws, computed_draws, strict=True):
                     target[is_computed] = source
         log_density = draws.log_marginal + log_prior
-        is_finite = np.isfinite(log_density) & (draws.log_marginal > NOWHERE)
-        log_density = np.where(is_finite, log_density, NOWHERE)
+        is_finite = np.isfinite(log_density) & (draws.log_marginal > LOG_ZERO)
+        log_density = np.where(is_finite, log_density, LOG_ZERO)
         if len(v) and log_density[index := int(np.argmax(log_density))] > self.max_log_density:
             self.max_log_density, self.max_v = float(log_density[index]), v[index]
         log_density[is_computed] -= math.log(self.far_fraction)
@@ -283,9 +283,9 @@ class Rounds:
         """Return the draws of all rounds with their importance weights, and the log evidence with its error."""
         v, _, x, corrections = self.samples
         log_weight_phi = self.log_weight
-        is_weighted = corrections > NOWHERE
+        is_weighted = corrections > LOG_ZERO
         log_weight = np.where(
-            is_weighted, log_weight_phi + np.where(is_weighted, corrections, 0.0), NOWHERE
+            is_weighted, log_weight_phi + np.where(is_weighted, corrections, 0.0), LOG_ZERO
         )
         # The mean of the unnormalised weights estimates the evidence, with the relative standard error of a mean.
         evidence = logsumexp(log_weight) - math.log(len(v))  # pyright: ignore[reportOperatorIssue]
@@ -300,7 +300,7 @@ class _Sample(NamedTuple):
     v: Float[np.ndarray, "s d"]
     log_density: Float[np.ndarray, "s"]  # marginal of φ
     x: Float[np.ndarray, "s p"]
-    corrections: Float[np.ndarray, "s"]  # added to the log weight of φ; `NOWHERE` if negligible
+    corrections: Float[np.ndarray, "s"]  # added to the log weight of φ; `LOG_ZERO` if negligible
 
 
 @run_on_one_thread
@@ -441,7 +441,7 @@ def _draw_coefficients(
     """Draw x for each φ of non-negligible weight; return the draws and the corrections of their weights."""
     mode, problem, is_exact, count = density.mode, density.problem, density.is_exact, len(v)
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
-    log_density, corrections, maximum = np.empty(count), np.full(count, NOWHERE), NOWHERE
+    log_density, corrections, maximum = np.empty(count), np.full(count, LOG_ZERO), LOG_ZERO
     batch_size = max(32, min(density.batch_size, CACHE_ELEMENTS // problem.record.size))
     is_nonlinear = is_exact and not problem.is_affine and not seen_corrections.is_constant
     first_batch = FIRST_BATCH_DRAWS if is_nonlinear and count > FIRST_BATCH_DRAWS else 0
@@ -453,7 +453,7 @@ def _draw_coefficients(
         log_weight_phi = log_density[rows] - log_proposal[rows]
         maximum = max(maximum, float(np.max(log_weight_phi)))
         # Weights below e⁻⁴⁰ = 4·10⁻¹⁸ of the largest vanish in rounding: no x is needed.
-        is_counted = (log_density[rows] > NOWHERE) & (log_weight_phi > maximum - NEGLIGIBLE_NATS)
+        is_counted = (log_density[rows] > LOG_ZERO) & (log_weight_phi > maximum - NEGLIGIBLE_NATS)
         if not is_counted.any():
             continue
         counted_rows, draws, normal = rows[is_counted], draws.select(is_counted), normal[is_counted]
@@ -469,7 +469,7 @@ def _draw_coefficients(
         corrections[counted_rows[is_finite]] = log_ratio[is_finite]
     # Replace the first draws' corrections too: their scatter would look like a heavy tail.
     if seen_corrections.is_constant and is_exact:
-        corrections = np.where(corrections > NOWHERE, seen_corrections.mean, NOWHERE)
+        corrections = np.where(corrections > LOG_ZERO, seen_corrections.mean, LOG_ZERO)
     return _Sample(v, log_density, x, corrections)
 
 

@@ -33,7 +33,7 @@ MAX_DIVERGENT_FRACTION = 0.005  # largest fraction of divergent transitions
 MAX_MODE_CHANGE_SD = 0.05
 
 NOT_CONVERGED = "Levenberg–Marquardt did not converge to its tolerance."
-SINGULAR = "The Hessian is singular: readings and priors do not identify all unknowns."
+SINGULAR_HESSIAN_TEXT = "The Hessian is singular: readings and priors do not identify all unknowns."
 
 
 def check_weights(

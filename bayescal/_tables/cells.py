@@ -123,7 +123,7 @@ def format_date(seconds: float) -> str:
     return date_time.replace(tzinfo=None).isoformat(sep=" ")
 
 
-EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # the years 2000 and 2100, s since 1970
+EARLIEST_S, LATEST_S = 946_684_800.0, 4_102_444_800.0  # the years 2000 and 2100, s since 1970
 _MAX_SPAN_SECONDS = 1e7  # four months; microseconds that are read as milliseconds span more
 
 
@@ -145,7 +145,7 @@ def detect_epoch_unit(values: np.ndarray, max_span: float = _MAX_SPAN_SECONDS) -
         return None
     low, high = float(finite.min()), float(finite.max())
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        in_range = low * size >= EARLIEST and high * size <= LATEST
+        in_range = low * size >= EARLIEST_S and high * size <= LATEST_S
         if in_range and (high - low) * size <= max_span:
             return unit
     return None

@@ -102,7 +102,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
         with ZipFile(path) as archive:
             unpacked_size = sum(entry.file_size for entry in archive.infolist())  # unpacked size
-        unpacked.refuse_unpacked(file, path.stat().st_size, unpacked_size, unpacked.SHEET)
+        unpacked.refuse_unpacked(file, path.stat().st_size, unpacked_size, unpacked.SHEET_LIMIT)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
             pairs = ((s, t) for s in sheets if (t := _sheet_to_text(s, file, max_bytes)).strip())

@@ -15,7 +15,7 @@ from typing import Any
 
 from bayescal._tables.raw_table import format_bytes, unusable
 
-SHEET, ARRAYS = (25, 2e7), (100, 1e8)
+SHEET_LIMIT, ARRAYS = (25, 2e7), (100, 1e8)
 """Limits of a format: ratio of unpacked to packed size, and unpacked size in bytes that is always allowed.
 
 Measured ratios: sheet of constants 10, MATLAB's compressed doubles 4 to 7, a single constant 700.

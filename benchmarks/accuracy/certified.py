@@ -54,7 +54,7 @@ def posterior_row(name: str) -> dict[str, Any]:
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Return the worst parameter and the worst standard deviation of some sets, with their sets."""
-    sure = [row for row in rows if row["set"] not in nist_strd.NOISELESS]
+    sure = [row for row in rows if row["set"] not in nist_strd.NOISELESS_DATA_SETS]
     parameter = min(rows, key=lambda r: r["parameters"])
     sd = min(sure, key=lambda r: r["sd"])
     return [f"{parameter['parameters']:.1f} ({parameter['set']})", f"{sd['sd']:.1f} ({sd['set']})"]

@@ -31,7 +31,7 @@ FOLDER = Path(__file__).parent / "data" / "nist_strd"
 MAX_DIGITS = 16.0  # digits to which doubles can agree
 # Ranges of x, over which Legendre polynomials are fitted.
 LEGENDRE = {"filip": (-9.0, -3.0)} | {f"wampler{i}": (0.0, 20.0) for i in range(1, 6)}
-NOISELESS = ("Lanczos1", "wampler1", "wampler2")  # data sets whose sd is a rounding error
+NOISELESS_DATA_SETS = ("Lanczos1", "wampler1", "wampler2")  # data sets whose sd is a rounding error
 
 ABOUT = " ".join(str(__doc__).split("\n\n")[1].split())
 

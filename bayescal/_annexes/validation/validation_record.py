@@ -151,7 +151,7 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
         maxima = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
         labels = NIST, name, "largest relative error, from every start"
         rows.append(Row(*labels, "parameters", 0.0, maxima[0], PARAMETER_RTOL))
-        if name not in nist_strd.NOISELESS:
+        if name not in nist_strd.NOISELESS_DATA_SETS:
             rows.append(Row(*labels, "standard deviations", 0.0, maxima[1], SD_RTOL))
     return ValidationRecord(tuple(rows), performance, chosen_names, describe_installation())
 

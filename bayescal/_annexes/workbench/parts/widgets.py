@@ -22,8 +22,8 @@ from bayescal import workshop as ws
 FOLDER = Path(__file__).parent
 CSS = (FOLDER / "page.css").read_text("utf-8")  # the grid and the colours, of the whole page
 INSIDE = (FOLDER / "inside.css").read_text("utf-8")  # Panel's own widgets within it
-PLAIN = (FOLDER / "plain.css").read_text("utf-8")  # text
-RADIO = (FOLDER / "radio.css").read_text("utf-8")  # choices
+TEXT_CSS = (FOLDER / "plain.css").read_text("utf-8")  # text
+CHOICE_CSS = (FOLDER / "radio.css").read_text("utf-8")  # choices
 
 
 def set_axis_range(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
@@ -50,7 +50,7 @@ class Text(pn.pane.Str):
 
 def label(text: str = "", *kinds: str, **settings: Any) -> Text:
     """Make a text of CSS classes `kinds`: "title", "small", "table" (a printed table), "refused" (an error)."""
-    settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [PLAIN], **settings}
+    settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [TEXT_CSS], **settings}
     return Text(text, **settings)
 
 
@@ -98,12 +98,12 @@ def download_button(label: str, **settings: Any) -> pn.widgets.FileDownload:
 def radio_buttons(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
     """Make radio buttons, which are accessible by keyboard, unlike Bokeh's tabs and button groups."""
     settings: dict[str, Any] = {"options": options, "value": value, "inline": True}
-    return widget(pn.widgets.RadioBoxGroup, label, stylesheets=[INSIDE, RADIO], **settings)
+    return widget(pn.widgets.RadioBoxGroup, label, stylesheets=[INSIDE, CHOICE_CSS], **settings)
 
 
 def check_boxes(label: str, **settings: Any) -> pn.widgets.CheckBoxGroup:
     """Make check boxes, whose labels are text (those of `MultiChoice` are HTML)."""
-    options = {"inline": True, "stylesheets": [INSIDE, RADIO], **settings}
+    options = {"inline": True, "stylesheets": [INSIDE, CHOICE_CSS], **settings}
     return widget(pn.widgets.CheckBoxGroup, label, **options)
 
 
