@@ -204,7 +204,7 @@ def find_implausible_curves(subject: Subject) -> Iterator[Claim]:
 def find_implausible_members(subject: Subject) -> Iterator[Claim]:
     """Yield a claim on the member with the largest deviation in each group, if it is implausibly large.
 
-    The estimated between-member standard deviation absorbs a wrong sign or unit of one member, which no other check
+    The estimated between-group standard deviation absorbs a wrong sign or unit of one member, which no other check
     reveals. Members absorb missing effects as well; the claim does not test for those.
     """
     fit = subject.fit

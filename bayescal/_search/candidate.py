@@ -41,7 +41,7 @@ class Candidate:
         log_bayes_factor: log Bayes factor of the model with the effect against the model without it, natural logarithm.
         source: "refit" where the model was fitted with the effect, else "score".
         z: size over its standard uncertainty (for a group, the z with the tail probability of its chi-square).
-        size, size_sd: posterior mean and standard deviation, in `unit`, of the coefficient; of the between-member
+        size, size_sd: posterior mean and standard deviation, in `unit`, of the coefficient; of the between-group
             standard deviation of a group effect; of the amplitude of an unknown dependence.
         shape: shape parameters, in their units.
         visibility: ratio of the information on the effect with nuisances marginalised to that with them known.
@@ -175,7 +175,7 @@ def _estimate_size_at_point(library: Library, point: ScoredPoint) -> tuple[float
 def _estimate_group_sd(
     information: np.ndarray, score: np.ndarray, scale: float, prior_size: float
 ) -> tuple[float, float]:
-    """Return posterior mean and variance of a between-member standard deviation under its half-normal prior."""
+    """Return posterior mean and variance of a between-group standard deviation under its half-normal prior."""
     eigenvalues, eigenvectors = np.linalg.eigh(information)
     eigenvalues, squares = np.maximum(eigenvalues, 0.0), (eigenvectors.T @ score) ** 2
     variance, size = SPREAD_FACTORS[:, None] ** 2, SPREAD_FACTORS * scale

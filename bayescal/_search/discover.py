@@ -270,7 +270,7 @@ def enumerate_structures(
             return "corrects a column or single readings, which no search evaluates: add it to the model"
         ignored = sorted(readings.no_causes.intersection(effect.columns))
         if ignored and effect.name not in given_names:
-            return f"the column {', '.join(ignored)} is excluded"
+            return f"depends on excluded columns: {', '.join(ignored)}"
         return why_untestable(effect, readings)
 
     # A family that the model has in one form is not missing in another.
@@ -417,8 +417,8 @@ def _describe_findings(discovery: Discovery) -> list[str]:
         lines.append(f"missing: {names}, probability {probability(s.probability)}{suffix}")
     for c in discovery.candidates:
         if c.role == "freed" and c.probability is not None:
-            named = (r for r in discovery.candidates if r.role != "freed")
-            rivals = [r for r in named if (r.probability or 0.0) >= MIN_PROBABILITY][:1]
+            others = (r for r in discovery.candidates if r.role != "freed")
+            rivals = [r for r in others if (r.probability or 0.0) >= MIN_PROBABILITY][:1]
             text = f"{c.frees} contradicts its prior: its stated value is wrong ({probability(c.probability)})"
             for r in rivals:
                 text += f", or {r.effect} is missing ({probability(r.probability)})"

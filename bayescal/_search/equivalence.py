@@ -71,8 +71,8 @@ def _estimate_residual_sd(structures: Structures) -> float:
     """Return the residual sd of a least-squares fit of the base and named candidates without shapes."""
     layout = replace(structures.layout, model=structures.base)
     linear, library = linearise_at_priors(Problem(layout, structures.record)), Library(structures)
-    named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
-    points = [point for point, *others in named.values() if not others]
+    grids = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
+    points = [point for point, *others in grids.values() if not others]
     columns = np.column_stack([linear.nuisance, library.columns(linear, points, {})])
     axes, values, _ = np.linalg.svd(columns * compute_column_scales(columns), full_matrices=False)
     axes = axes[:, values > RANK_TOLERANCE * values.max(initial=0.0)]

@@ -52,7 +52,7 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
                     values[position] = column.cast(pa.float64()).to_numpy()
                 else:
                     values[position] = column.to_pandas().to_numpy(object)
-        pa.default_memory_pool().release_unused()  # unpacked buffers are as large as the numbers
+        pa.default_memory_pool().release_unused()  # decompressed buffers are as large as the numbers
         return values
 
     units = ((field.metadata or {}).get(b"units") for field in schema)
@@ -91,7 +91,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
     """Return the first non-empty sheet of an Excel file (.xlsx) as a table; `file`: its name in messages.
 
     Raises:
-        InputError: openpyxl is not installed, or the file is invalid, empty, or too large (unpacked, or as text).
+        InputError: openpyxl is not installed, or the file is invalid, empty, or too large (decompressed, or as text).
     """
     try:
         from openpyxl import load_workbook

@@ -1,6 +1,6 @@
-"""Checks of the unpacked size of a file before it is unpacked, against decompression bombs.
+"""Checks of the decompressed size of a file before it is decompressed, against decompression bombs.
 
-A few megabytes of zeros unpack to gigabytes, arrays may be declared but never written, nested lists may exhaust the
+A few megabytes of zeros decompress to gigabytes, arrays may be declared but never written, nested lists may exhaust the
 stack of the library that reads them, and a file may link to others. Files of readings have none of these.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 from bayescal._tables.raw_table import format_bytes, unusable
 
 SHEET_LIMIT, ARRAYS = (25, 2e7), (100, 1e8)
-"""Limits of a format: ratio of unpacked to packed size, and unpacked size in bytes that is always allowed.
+"""Limits of a format: ratio of decompressed to compressed size, and decompressed size in bytes that is always allowed.
 
 Measured ratios: sheet of constants 10, MATLAB's compressed doubles 4 to 7, a single constant 700.
 """
@@ -25,11 +25,11 @@ _CSV_ADVICE = "Save the readings as CSV"
 
 
 def refuse_unpacked(file_name: str, packed: int, unpacked: int, limit: tuple[float, float]) -> None:
-    """Raise InputError if the unpacked size of a file, bytes, exceeds the `limit` of its format."""
+    """Raise InputError if the decompressed size of a file, bytes, exceeds the `limit` of its format."""
     max_ratio, min_bytes = limit
     if unpacked > max(min_bytes, max_ratio * packed):
         fault = (
-            f"unpacks from {format_bytes(packed)} to {format_bytes(unpacked)} or more, a ratio of "
+            f"decompresses from {format_bytes(packed)} to {format_bytes(unpacked)} or more, a ratio of "
             f"{unpacked / packed:,.0f}, above the limit of {max_ratio:g}"
         )
         raise unusable(file_name, fault, _CSV_ADVICE)

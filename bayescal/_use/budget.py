@@ -344,7 +344,7 @@ def _split_by_source(
 
 
 def _list_estimated_group_sds(equation: OperatingEquation) -> set[str]:
-    """Return the names of unseen members' coefficients whose between-member standard deviation is estimated."""
+    """Return the names of unseen members' coefficients whose between-group standard deviation is estimated."""
     members, fixed_names = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
     estimated_blocks = (b for b in equation.blocks if b.group_sd_name not in fixed_names)
     return {b.name for b in estimated_blocks if b.coefficient.per not in members}

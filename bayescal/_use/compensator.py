@@ -275,7 +275,7 @@ def compensator(
             of their calibrated range; `notes` state the rms error due to this.
         draws: maximum number of posterior draws to average over.
         members: group → member in use, such as {"device": "A17"}. The members of all other groups are unseen, with
-            deviations drawn from the between-member standard deviation.
+            deviations drawn from the between-group standard deviation.
 
     Raises:
         ModelError: the instrument has no stimulus (`Instrument.use`).

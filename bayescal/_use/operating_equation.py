@@ -1,7 +1,7 @@
 """The operating equation of a calibrated instrument: the equation of one reading, its posterior moments, its inverse.
 
 In use there is no test rig: slots (terms of the measurement equation) absent from `Use.slots` are omitted, and every
-run, cell or (unless named) device is unseen: its deviation is drawn from the between-member standard deviation. The
+run, cell or (unless named) device is unseen: its deviation is drawn from the between-group standard deviation. The
 equation is a function of numbers,
 
     output = point(θ, stimulus, inputs),

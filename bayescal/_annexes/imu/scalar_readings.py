@@ -61,8 +61,8 @@ def convert_to_scalar_readings(
         return {**values, "output": lengths}, units, flags
     if missing_columns:
         raise bc.InputError(
-            f"{file}: a known direction needs {', '.join(columns)}, but {', '.join(missing_columns)} is missing: "
-            "add it, or remove the others to calibrate with unknown directions"
+            f"{file}: a known direction needs {', '.join(columns)}; not in the file: {', '.join(missing_columns)}. "
+            "Add what is missing, or remove the others to calibrate with unknown directions"
         )
     return *_convert_poses(outputs, lengths, values, units, file), flags
 
