@@ -185,17 +185,17 @@ def list_directions(calibration: Fitted) -> list[dict[str, str]]:
 
 
 def find_unidentified(
-    linear: LinearModel, levels: Mapping[str, Sequence[str]], include_exact: bool = True
+    linear_model: LinearModel, levels: Mapping[str, Sequence[str]], include_exact: bool = True
 ) -> list[Claim]:
     """Return claims on unidentified combinations of a linearised structure, without those due to confounders."""
-    layout = linear.problem.layout
+    layout = linear_model.problem.layout
     if layout.size == 0:
         return []
     names, claims = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
-    exact_vectors, weak_vectors, member_vectors = find_null_vectors(linear, include_exact)
+    exact_vectors, weak_vectors, member_vectors = find_null_vectors(linear_model, include_exact)
     for v in exact_vectors:  # no reading changes; in the coefficients' units if of small integers
         order = np.flatnonzero(np.abs(v) > NAMED_SHARE * np.abs(v).max())
-        factors, suffix = null_space.scale_to_integers((v * linear.sd[: len(v)])[order]), ""
+        factors, suffix = null_space.scale_to_integers((v * linear_model.sd[: len(v)])[order]), ""
         if np.any(factors != np.rint(factors)):  # else in prior sd, the largest first
             order = order[np.argsort(-np.abs(v[order]), kind="stable")]
             factors, suffix = null_space.scale_to_integers(v[order]), PRIOR_SD_SUFFIX
@@ -221,10 +221,10 @@ def find_unidentified(
         claims.append(Claim("direction.members", *effects, **numbers))
     # Pairs: one's variance is due to the other, on which the prior is more informative than the readings.
     hypers = [layout.hypers[i] for i in layout.nonlinear_phi]
-    names, sd = [*names, *(h.name for h in hypers)], np.linalg.norm(linear.root, axis=1)
+    names, sd = [*names, *(h.name for h in hypers)], np.linalg.norm(linear_model.root, axis=1)
     is_single = np.array([*is_single_coefficient(layout), *(h.kind == "promoted" for h in hypers)])
-    correlation = linear.root @ linear.root.T / np.outer(sd, sd).clip(1e-300)
-    is_pair = np.outer(is_single & (linear.weight * sd**2 > 0.5), is_single)
+    correlation = linear_model.root @ linear_model.root.T / np.outer(sd, sd).clip(1e-300)
+    is_pair = np.outer(is_single & (linear_model.weight * sd**2 > 0.5), is_single)
     for i, j in np.argwhere(is_pair & (correlation**2 > limit("direction.pair", "share"))):
         pair, r = (names[j], names[i]), float(correlation[i, j])
         if i != j and not any({*pair} <= {*claim.subjects} for claim in claims):
@@ -234,13 +234,13 @@ def find_unidentified(
 
 
 def find_null_vectors(
-    linear: LinearModel, include_exact: bool = True
+    linear_model: LinearModel, include_exact: bool = True
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
     """Return exact, weak, and group-deviation null directions (p,), in prior standard deviations."""
-    layout = linear.problem.layout
+    layout = linear_model.problem.layout
     single, share = is_single_coefficient(layout), limit("direction.none", "share")
-    is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
-    whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
+    is_unknown = linear_model.sd[: layout.size] > 0  # the others are numbers by definition
+    whitened = linear_model.white_nuisance[:, : layout.size][:, is_unknown]
     exact = null_space.find_null_rows(whitened) if include_exact else np.zeros((0, len(whitened.T)))
     weak = null_space.find_weak_rows(whitened, exact, WEAK_INFORMATION, share)
     directions_by_kind: tuple[list[Direction], ...] = [], [], []

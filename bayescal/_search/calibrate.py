@@ -192,13 +192,11 @@ class StepwiseSearch:
         for claim in step.failures:
             effect = claim.subjects[1]
             distances[effect] = max(claim.numbers["away"], distances.get(effect, 0.0))
-        effects = {name: model.effect(name) for name in distances}
-        if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in effects.values()):
+        named = {name: model.effect(name) for name in distances}
+        if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
             return ()
         # The prior's width is the next power of ten above the distance: it affects the evidence and must not be tuned.
-        return tuple(
-            freed(e, 10 ** math.ceil(math.log10(distances[n]))) for n, e in effects.items()
-        )
+        return tuple(freed(e, 10 ** math.ceil(math.log10(distances[n]))) for n, e in named.items())
 
     def step_method(self, model: Model) -> Method | None:
         """Return the method before the last step: least squares, or `method` for heavy tails without a deadline."""
