@@ -160,7 +160,7 @@ class Layout:
                 start += size if place == "x" else 0
         if origins:
             raise ModelError(
-                f"outputs are relative to an origin included in {', '.join(origins)}, which is not in the model: "
+                f"outputs are relative to an origin included in {', '.join(origins)}, which the model lacks: "
                 f"{', '.join(self.model.names)}"
             )
         return tuple(blocks)

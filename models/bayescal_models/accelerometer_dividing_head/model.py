@@ -48,7 +48,7 @@ def _evaluate_axial_output(a, slots):
 
 
 def _use_output(acceleration, slots, r):
-    """Return the output, µg, of the instrument in use, without the head, for an acceleration in µg."""
+    """Return the output, µg, of the instrument without the dividing head, for an acceleration in µg."""
     return _evaluate_axial_output(acceleration / G, slots)
 
 

@@ -122,7 +122,7 @@ def _evaluate_response(slots, r):
 
 
 def _use_output(a, slots, r):
-    """Return the output, µg, of the instrument in use, without the table, for an acceleration `a`, µg."""
+    """Return the output, µg, of the instrument without the rotary table, for an acceleration `a`, µg."""
     a_mg = a / 1e3
     nonlinear_terms = slots["second_order"] * a_mg**2 + slots["third_order"] * a_mg**3
     return slots["bias"] + (1 + slots["scale"]) * a + nonlinear_terms
