@@ -1,9 +1,7 @@
-"""Restriction of BLAS to a single thread, faster for matrices of ten to a hundred rows; release of freed memory."""
+"""Restriction of BLAS to a single thread, which is faster for matrices of ten to a hundred rows."""
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Callable
 from functools import cache, wraps
 from typing import ParamSpec, TypeVar
@@ -26,9 +24,3 @@ def run_on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return run_limited
-
-
-def release_memory() -> None:
-    """Return freed memory to the operating system (glibc): hundreds of MB after a search of a long record."""
-    if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
-        libc.malloc_trim(0)

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
 from bayescal._core.lazy_jax import jax
-from bayescal._core.parallel import release_memory
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
@@ -134,11 +133,10 @@ class Record:
         return ColumnTable(self.y - self.affine_map[0])  # pyright: ignore[reportOptionalSubscript]
 
     def clear_cache(self) -> None:
-        """Clear cached columns of effects with shapes, expansions and the column table, and release memory."""
+        """Clear cached columns of effects with shapes, expansions and the column table."""
         self._shape_columns, self._cached_bytes, self._expansions = OrderedDict(), 0, {}
         if self.affine_map is not None:
             self.table.clear()
-        release_memory()
 
     def expansions(self, effect: ColumnSpec, fixed: tuple[float | None, ...]) -> Expansions:
         """Return the expansions of an effect's columns in its free shapes; fixed: each shape's fixed value, or None."""

@@ -22,7 +22,6 @@ from bayescal._calibration.predict import HoldoutTest, predict
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
-from bayescal._core.parallel import release_memory
 from bayescal._core.progress import track
 from bayescal._core.settings import settings, to_seed
 from bayescal._data.measurements import Measurements
@@ -211,7 +210,6 @@ class StepwiseSearch:
             if start and not effects.isdisjoint(structures.excluded_candidates(start)):
                 start = None
             self.stopped = explore(self.library, self.max_effects, start, follow)
-            release_memory()
 
     @property
     def structures(self) -> Structures:

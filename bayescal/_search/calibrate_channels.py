@@ -13,7 +13,7 @@ from scipy.special import expit
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, format_value, number, probability
-from bayescal._core.parallel import release_memory
+from bayescal._core.lazy_jax import release_memory
 from bayescal._core.progress import track
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, make_table
@@ -196,9 +196,11 @@ def calibrate_channels(
                 c.search.run_search(lambda c=c: follow(c.name, c.search.build_path()))
                 with suppress(deadline.TimeIsUp):
                     c.evaluate_shapes()
+            release_memory()
         shared_shapes = unit.combine_evidence()
         with suppress(deadline.TimeIsUp), deadline.shorten(1 / 2):
             for name in unit.propagate_evidence():
+                release_memory()
                 follow(name, unit.channels[name].search.build_path())
                 shared_shapes = unit.combine_evidence()
         for i, c in enumerate(channels):
