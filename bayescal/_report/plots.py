@@ -258,7 +258,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
-    ax.set_xlabel("log Bayes factor of the effect [no unit]")
+    ax.set_xlabel("log Bayes factor of the effect (scale logarithmic beyond ±5) [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
     other_label = "not needed with the findings" if {*kinds} & {*found_kinds} else "improbable"
     labels = KINDS | {None: other_label}

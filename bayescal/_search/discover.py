@@ -54,6 +54,7 @@ SEARCH_TIME_SHARE = 2 / 3
 P_COMPLETE = "probability that no testable candidate is missing"
 UNSTATED_TEXT = "not stated, as the search was ended early"
 LOG_BF = "log BF: log Bayes factor of this effect alone, added to the fitted model; probability: over all structures"
+SIZE_NOTE = "size: first of several coefficients; of deviations of runs or cells, their sd (prior: half-normal)"
 MAX_RIVALS = 4  # effects to be distinguished by an experiment
 REMARKS = {"not visible": "not detectable in this experiment"}
 
@@ -163,7 +164,7 @@ class Discovery(Printed):
         lines += [self.stopped, *(wrap(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table, power = candidates_table(rows), f"{100 * settings().power:g} %, residuals as noise"
-        note = f"± standard uncertainty (k = 1); detectable: size found with probability {power}"
+        note = f"± standard uncertainty (k = 1); detectable: size found with probability {power}\n{SIZE_NOTE}"
         has_refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * has_refits]

@@ -38,7 +38,7 @@ MAX_ROUNDS = 6  # of adaptation of the importance sampler
 # Factor on the standard uncertainty of the expected output of an incomplete model: on campaigns with formulas that the
 # catalogue lacks, 95 % intervals then have a coverage of about 95 % (docs/wrong_model.md).
 INCOMPLETE_FACTOR = 2.5
-# Log spreads between runs over the plausible spread, from a thousandth of it; equally probable where none was found.
+# Log spreads between runs over the plausible spread, from a thousandth of it; a half-normal's density limits them.
 LOG_SPREADS = np.linspace(math.log(1e-3), math.log(10.0), 41)
 _Values = dict[str, np.ndarray]  # draws of each unknown by name, (s,) or (s, members)
 
@@ -70,8 +70,8 @@ def add_inadequacy(
     p = "P(complete) unknown, taken as 0" if complete is None else f"P(complete) = {complete:.3f}"
     note = (
         f"Model inadequacy (Type B): with {p}, predictions, corrections and budgets multiply the standard "
-        f"uncertainty of the expected output by f = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = {factor:.2f}: a model that "
-        f"lacks an effect is taken to have {INCOMPLETE_FACTOR:g} times its uncertainty. Tables of coefficients omit f."
+        f"uncertainty of the expected output by f = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = {factor:.2f}; in "
+        f"simulated tests, models that lacked an effect had {INCOMPLETE_FACTOR:g} times it. Tables of coefficients omit f."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     run_spreads = _find_run_spreads(calibration, structures, structure)
@@ -83,7 +83,7 @@ def _find_run_spreads(
 ) -> dict[str, float]:
     """Return the rms between-run standard deviation of each between-run effect that some draws lack, by name.
 
-    It is estimated from the posterior with the effect added, under a log-uniform prior.
+    It is estimated with the effect added, other φ at the mode, for a prior density 1/τ below the half-normal's scale.
     """
     spreads, names = dict[str, float](), {*structure.effects, *structures.candidates_for(structure)}
     names &= calibration.model.instrument.known.keys()  # others cannot be looked up by name
@@ -92,7 +92,7 @@ def _find_run_spreads(
         if p_absent and prior is not None and name in names and effect.columns == ("run",):
             fit = structures.evaluate(structure.with_effects(name))
             log_density = fit.log_density_along(effect.group_sd_name(0), LOG_SPREADS)
-            log_density = log_density - LOG_SPREADS  # prior density 1/τ
+            log_density = log_density - LOG_SPREADS  # prior density exp(−½(τ/scale)²)/τ
             weight, squares = np.exp(log_density - log_density.max()), prior.value(LOG_SPREADS) ** 2
             spreads[name] = float(np.sqrt(p_absent * (weight @ squares) / weight.sum()))
     return {name: size for name, size in spreads.items() if np.isfinite(size)}

@@ -268,9 +268,11 @@ def list_average_claims(calibration: Calibration) -> list[Claim]:
 
 
 def list_use_claims(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
-    """Return claims on averaging, dates, new members, held inputs, lags; unless `has_range`, on the stimulus range."""
+    """Return claims on uncertainty, dates, new members, held inputs, lags; unless `has_range`, on the stimulus range."""
     calibration = equation.calibration
-    notes = [*list_average_claims(calibration), *list_clock_claims(equation)]
+    deviations = calibration.unfound_spreads or ("nothing else",)
+    notes = [Claim("use.uncertainty", *deviations, factor=calibration.form_factor)]
+    notes += [*list_average_claims(calibration), *list_clock_claims(equation)]
     if new_members := [u.name for u in equation.unknowns if is_new_member(u)]:
         notes.append(Claim("use.new_members", *new_members))
     if constants := equation.held_inputs:
@@ -353,8 +355,7 @@ class CompensationProgram:
         eigenvalues, eigenvectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = (eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
         r = np.linalg.qr(root, mode="r") if len(sd) else root
-        signs = np.where(np.diag(r) < 0, -1.0, 1.0)
-        return scale[:, None] * (signs[:, None] * r).T + 0.0
+        return scale[:, None] * (np.where(np.diag(r) < 0, -1.0, 1.0)[:, None] * r).T + 0.0
 
     def run(
         self, output: np.ndarray, inputs: Mapping[str, np.ndarray]

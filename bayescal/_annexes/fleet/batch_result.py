@@ -78,7 +78,7 @@ def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -
     return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
-OTHER_EFFECTS = "has other effects than most devices; included only in the rows of coefficients that most devices lack"
+OTHER_EFFECTS = "not in the rows of coefficients that all devices have, which are of the most frequent set of effects"
 IMPROBABLE = "  {}: do not use before another test: {} was found, but is improbable in the fleet"
 NO_SEARCH = "no device was searched for missing effects (option --find, or find=True)"
 

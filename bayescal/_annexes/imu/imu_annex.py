@@ -16,7 +16,7 @@ CORRECTION_FILES = ("correction.h", "correction.py", "correction.json")
 UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
 CAPTION = "Three axes, with model inadequacy and effects of the test; without higher orders closer to zero than u/2"
-FIT_CAPTION = "COEFFICIENTS (uncertainties of the fit alone)"
+FIT_CAPTION = "COEFFICIENTS (without f and effects of the test)"
 USE_CAPTION = "CORRECTION FOR USE (u with f = {:.2f} and effects of the test; higher orders only if above u/2)"
 
 
@@ -207,7 +207,8 @@ def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTabl
     from bayescal._annexes.imu.vector_correction import VectorCorrection, tabulate_terms
 
     correction = VectorCorrection.from_data(vector["averaged"] or vector)
-    return [(CAPTION, tabulate_terms(correction.rows)), correction.tabulate_uncertainty()]
+    caption = " ".join([f"{CAPTION}.", *correction.notes])
+    return [(caption, tabulate_terms(correction.rows)), correction.tabulate_uncertainty()]
 
 
 ANNEX = {

@@ -226,8 +226,7 @@ class VectorCorrection:
             outputs: readings of the instrument, or (n, 3) in `unit`.
             temperature: °C, one per reading or one for all; default: that of the readings. Required if the
                 correction depends on temperature.
-            noise: standard deviation of each output, `unit`; default: the attribute `noise`; 0 for the uncertainty of
-                the calibration alone.
+            noise: standard deviation of each output, `unit`; default: the attribute `noise`; 0: without noise.
             secondary_input: (n, 3) or (3,), in the unit of its columns, if the correction depends on it.
 
         Raises:
