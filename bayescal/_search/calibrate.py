@@ -72,10 +72,9 @@ def calibrate(
     lead from the given model to the last one, each by the change of highest evidence.
 
     Args:
-        model: the first model. Its effects beyond the instrument's baseline are evaluated anew, like all candidates, so
-            that the result does not depend on them. An effect is always kept if it is not a candidate of the
-            instrument, if these readings cannot test it, or if it has a fixed unknown; all named effects are kept if
-            the model lacks a part of the baseline, and all effects if `max_effects` is 0.
+        model: the first model. Its effects beyond the instrument's baseline are evaluated anew, so that the result does
+            not depend on them, except those that are no candidates, that these readings cannot test or that have a
+            fixed unknown; all named ones if it lacks a part of the baseline; all effects if `max_effects` is 0.
         readings: readings to fit.
         holdout: hold-out data, predicted after the last step and never used to choose an effect.
         effects: user-defined effects, additional candidates.

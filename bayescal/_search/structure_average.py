@@ -70,8 +70,8 @@ def add_inadequacy(
     p = "P(complete) unknown, taken as 0" if complete is None else f"P(complete) = {complete:.3f}"
     note = (
         f"Model inadequacy (Type B): with {p}, predictions, corrections and budgets multiply the standard "
-        f"uncertainty of the expected output by f = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = {factor:.2f}; in "
-        f"simulated tests, models that lacked an effect had {INCOMPLETE_FACTOR:g} times it. Tables of coefficients omit f."
+        f"uncertainty of the expected output by f = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = {factor:.2f}: "
+        f"{INCOMPLETE_FACTOR:g} times for a model that lacks an effect, as in simulated tests. Coefficients omit f."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     run_spreads = _find_run_spreads(calibration, structures, structure)

@@ -268,7 +268,7 @@ def list_average_claims(calibration: Calibration) -> list[Claim]:
 
 
 def list_use_claims(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
-    """Return claims on uncertainty, dates, new members, held inputs, lags; unless `has_range`, on the stimulus range."""
+    """Return claims on uncertainty, dates, new members, held inputs, lags; unless `has_range`, on stimulus range."""
     calibration = equation.calibration
     deviations = calibration.unfound_spreads or ("nothing else",)
     notes = [Claim("use.uncertainty", *deviations, factor=calibration.form_factor)]
