@@ -76,4 +76,4 @@ def test_the_spread_in_the_population_is_of_devices_with_the_same_effects() -> N
     found = bc.BatchResult(fits, {"method": "least-squares"})
     row = found.coefficients().set_index("coefficient").loc["bias.temperature"]
     assert row["population sd"] == 0 and row["between devices"] < 0.01 and row["devices"] == 5
-    assert "D9: has other effects than most" in str(found)
+    assert "D9: not in the rows of coefficients that all devices have" in str(found)
