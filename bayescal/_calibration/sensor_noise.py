@@ -67,7 +67,7 @@ Terms = tuple[str, ...]  # names of a sum's terms, besides white noise
 CURVE_DEGREE = 3  # of the polynomial in temperature
 IMPUTATION_COUNT = 6  # number of imputations of lost readings; the first is burn-in
 SLOW_TERMS = ("walk", "flicker", "correlated")  # a sum has two of them at most
-NO_PAIRS = (("walk", "walk"), ("flicker", "flicker"))  # pairs of slow terms that no sum has
+OMITTED = (("walk", "walk"), ("flicker", "flicker"))  # pairs of slow terms that no sum has
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 TONE_RMS, TONE_FREQ, TONE_TIME = TONE
 QUANTISATION, AVERAGING = "quantisation", "averaging"  # terms that correlate neighbours only
@@ -427,7 +427,7 @@ def _enumerate_sums(
     All but the smallest include the required terms. Finally the best sum is evaluated without each of these, because
     noise that is correlated over a few readings resembles them.
     """
-    pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in NO_PAIRS]
+    pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in OMITTED]
     sizes = range(len(optional_terms) + 1)
     subsets = [{*c, *required} for k in sizes for c in itertools.combinations(optional_terms, k)]
     slow_sums = [(), *((term,) for term in SLOW_TERMS), *pairs]

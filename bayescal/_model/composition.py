@@ -155,7 +155,7 @@ def differentiate_output(
 def linearise_output(
     source: ColumnSource, terms: Sequence[Term], arguments: ResponseArguments
 ) -> Linearisation:
-    """Return the expected output and its Jacobian with respect to coefficients; `arguments`: by `compose` with_grad."""
+    """Return the expected output and its Jacobians; `arguments`: the result of `compose` with `with_grad=True`."""
     mean, derivatives = differentiate_output(source, terms, arguments)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
     triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, arguments.columns, strict=True)]

@@ -352,7 +352,7 @@ class Effect:
         return (*names, *self.group_sd_names, *map(self.shape_name, self.shapes))
 
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
-        """Evaluate the basis as a matrix (n, p), one column per coefficient; raise ModelError for another number."""
+        """Evaluate the basis as a matrix (n, p); raise ModelError unless it has one column per coefficient."""
         values = {s.name: shapes[s.name] for s in self.column_shapes}
         return Basis(self.basis, len(self.coefficients), self.name).evaluate(frame, values)
 

@@ -210,9 +210,9 @@ class FlickerTerm(ExponentialTerm):
 
     def times(self) -> Float[np.ndarray, "k"]:
         """Return the correlation times, s: from a quarter of a step to beyond the longest run."""
-        shortest = SHORTEST_TIME_STEPS * self.shortest
-        count = math.ceil(math.log(self.longest / shortest, FLICKER_TIME_RATIO)) + 1
-        return shortest * FLICKER_TIME_RATIO ** np.arange(count)
+        shortest_time = SHORTEST_TIME_STEPS * self.shortest
+        count = math.ceil(math.log(self.longest / shortest_time, FLICKER_TIME_RATIO)) + 1
+        return shortest_time * FLICKER_TIME_RATIO ** np.arange(count)
 
     # One-sided, a term of variance s² and time τ has the spectrum 4·s²·τ/(1 + (2πfτ)²). Summed over times whose
     # logarithms are ln r apart: ∫ 4·s²/(1 + (2πfτ)²)·dτ/ln r = s²/(f·ln r), which is B²/(π·f) for s² = B²·ln r/π.

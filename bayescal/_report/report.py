@@ -207,7 +207,7 @@ def render_page(
 
 
 def compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
-    """Return a chapter's uncertainty budget at mid-range of all inputs and "", or None and why there is none."""
+    """Return a chapter's uncertainty budget at the default point and an empty text; if there is none, None and why."""
     if not chapter.data["verdict"]["ok"]:
         return None, "There is no uncertainty budget, since the result is not reliable."
     if chapter.used.model.instrument.use is None:

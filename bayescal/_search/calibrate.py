@@ -197,7 +197,7 @@ class StepwiseSearch:
         return tuple(freed(e, 10 ** math.ceil(math.log10(distances[n]))) for n, e in named.items())
 
     def step_method(self, model: Model) -> Method | None:
-        """Return the method before the last step: least squares, or `method` for heavy tails without a deadline."""
+        """Return the method of steps before the last: least squares, or `method` for heavy tails without a deadline."""
         has_limit = deadline.current().ends_at < math.inf
         return QUICK if model.noise.is_gaussian or has_limit else self.method
 

@@ -152,9 +152,9 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
 def _select_next(
     structures: Structures, expanded: set[Structure], scope: Scope
 ) -> EvaluatedStructure | None:
-    """Return the most probable structure in the beam and in a scope that is not yet expanded; None if there is none.
+    """Return the most probable structure of the beam that is in the scope and not yet expanded; None if there is none.
 
-    The beam also has the best structure under each noise law, several changes away from that under another law.
+    Unless `near_best_only`, the beam includes the best structure under each law, several changes from that of others.
     """
     fits = [w for w in structures.visited.values() if scope.contains(w.structure)]
     ranked_fits = sorted(fits, key=lambda w: -w.log_posterior)
@@ -411,13 +411,13 @@ def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
     structure, log_odds, total = fit.structure, structures.log_odds, fit.log_posterior
     names = [n for n in scorer.library.points if n in scope.effects]
     candidates = [n for n in structures.candidates_for(structure) if n in names]
-    free_slots = scope.max_effects - len(structure.effects)
-    if free_slots > 0 and candidates:
+    free_count = scope.max_effects - len(structure.effects)
+    if free_count > 0 and candidates:
         reduced = scorer.reduced_model()
         scores = reduced.score_candidates(candidates)
         for name, points in scores.items():
             yield _make_addition(structure.with_effects(name), total + log_odds[name], points)
-        if free_slots > 1:
+        if free_count > 1:
             named = {n: p for n, p in scores.items() if not structures.candidates[n].is_placeholder}
             for factor, a, b in reduced.score_pairs(named)[:MAX_FITTED_PAIRS]:
                 pair_total = total + factor + log_odds[a.name] + log_odds[b.name]

@@ -63,7 +63,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class SourceShare:
-    """Contribution of one source to the variance: of kind "A" (readings, runs), "B" (a prior) or "" (both)."""
+    """One source of uncertainty: u, share of the variance, kind "A" (readings, runs), "B" (a prior) or "" (both)."""
 
     name: str
     kind: str
@@ -352,12 +352,12 @@ def _list_estimated_group_sds(equation: OperatingEquation) -> set[str]:
 
 def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
     """Return a claim for each input of an operating point (fixed units) that is outside its calibrated range."""
-    past = {i.name for i in correction.inputs if i.kind in HISTORY_KINDS}
+    history = {i.name for i in correction.inputs if i.kind in HISTORY_KINDS}
     fixed = {i.name for i in correction.inputs if i.settled}
     return [
         Claim("budget.beyond_range", name, value=point[name], low=low, high=high, unit=unit)
         for name, (low, high, unit) in correction.calibrated.items()
-        if name not in past and (point[name] < low or (point[name] > high and name not in fixed))
+        if name not in history and (point[name] < low or (point[name] > high and name not in fixed))
     ]
 
 

@@ -94,7 +94,7 @@ class Compensator:
             readings: output and needed covariates, with dates on the calibration's clock; or give these as `columns`.
             noise: include each reading's noise in its uncertainty, from the noise model (correlated noise too) and the
                 column `output_uncertainty` if there is one; False for the calibration's uncertainty alone.
-            method: "draws": solve the equation for every draw; "first order": propagate mean and covariance (exports).
+            method: "draws": solve the equation for every draw; "first order": propagate the covariance, as exports do.
             warn: issue an `OutsideCalibration` warning for values outside their calibrated range.
             **columns: one value per reading or one for all, in fixed units; `time` in s since the epoch, or dates
                 (`datetime64`); in its place also `temperature_rate`, `temperature_lag` or `elapsed`.

@@ -232,7 +232,7 @@ class OperatingEquation:
         )
 
     def _trace_lag(self, lags: dict[tuple[str, float], Lag], column: str, tau: Any) -> Symbols:
-        """Return a lag: an input at the mean time constant, added to `lags`, plus its first-order change with τ."""
+        """Return a lagged column's symbol: the input at the mean τ, noted in `lags`, plus its linear change with τ."""
         node, means = self.graph.node_of(tau), {input_name(n): m[0] for n, m in self.shapes.items()}
         (mean,) = self.graph.evaluate([node], means)
         if (column, mean) not in lags:

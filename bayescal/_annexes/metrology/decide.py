@@ -72,7 +72,7 @@ class Recalibration:
             return f"the probability of conformity is already below {self.stated:g}"
         date = f", {self.date}" * bool(self.date)
         time_text = f"{format_duration(self.after)} after the last reading{date}"
-        return f"the probability of conformity falls below {self.stated:g} {time_text}"
+        return f"{time_text}, the probability of conformity falls below {self.stated:g}"
 
 
 def compute_recalibration(
