@@ -261,8 +261,6 @@ class StepwiseSearch:
         path = self.average_path([replace(s, discovery=d) for s, d in pairs], goal, search)
         self.library.cached_columns.clear()
         self.structures.clear_cache()
-        for calibration in {*(step.calibration for step in path.steps), path.average} - {None}:
-            calibration.clear_cache()
         return path
 
     def average_path(

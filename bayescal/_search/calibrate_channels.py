@@ -205,7 +205,9 @@ def calibrate_channels(
                 shared_shapes = unit.combine_evidence()
         for i, c in enumerate(channels):
             with track(f"{c.name}, channel {i + 1} of {count}"), deadline.shorten(1 / (count - i)):
-                paths[c.name] = c.search.fit_path(partial(follow, c.name))
+                path = paths[c.name] = c.search.fit_path(partial(follow, c.name))
+            for calibration in {*(step.calibration for step in path.steps), path.calibration}:
+                calibration.clear_cache()
             release_memory()
     return Channels(paths, tuple(shared_shapes.values()))
 
