@@ -502,7 +502,7 @@ class CompensateCommand(ColumnOptions, MemberOptions, AsJson, Command):
         data |= {name: getattr(result, name) for name in ("outside", "unsolved", "missing")}
         reason = request.describe_reliability({"": correction})
         if result.unsolved:
-            reason = f"{result.unsolved} readings have no solution and are left empty"
+            reason = f"{result.unsolved} readings have no solution: their added columns are empty"
         return Answer(text, data, why=reason)
 
 

@@ -79,7 +79,7 @@ def _find_clipped(readings: Measurements) -> Fault:
     ends = [] if checks.find_rounding_step(output) else checks.find_clip_levels(output)
     rows = np.flatnonzero(np.isin(output, [level for _, level in ends]))
     counts = " and ".join(f"{np.sum(output == v)} at its {end} {v:.6g}" for end, v in ends)
-    counts += ": the calibration does not apply beyond"
+    counts += ": the calibration does not apply beyond these values"
     return Fault(rows, f"{len(rows)} clipped reading(s) of the output set aside, {counts}")
 
 

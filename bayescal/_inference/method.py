@@ -79,7 +79,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Draws:
-    """Equally weighted joint draws of x and v, (chains, draws, …) each."""
+    """Equally weighted joint draws of coefficients x and coordinates v of φ, (chains, draws, …) each."""
 
     x: np.ndarray
     v: np.ndarray

@@ -81,11 +81,11 @@ def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT)
         return NO_FIT
     priors = law.parameters()
     points = [np.array([start[n] for n in priors]) for start in starts]
-    problem, curvature = Problem(Layout(Model(CHANNEL, (), law), ()), record), None
+    problem, guess = Problem(Layout(Model(CHANNEL, (), law), ()), record), None
     if previous.covariance is not None:
         coordinates = np.array([previous.start[n] for n in priors])
-        curvature = HessianGuess(coordinates, np.linalg.inv(previous.covariance), True)
-    density = Density(problem, problem.start, np.ones(0), guess=curvature)
+        guess = HessianGuess(coordinates, np.linalg.inv(previous.covariance), True)
+    density = Density(problem, problem.start, np.ones(0), guess=guess)
     # The climb stops at a hundredth of a nat: the evidence only ranks laws and the mode is a start.
     mode = fit_at_mode(density, maximise(density, select_start(density, points), math.inf), 0.0)
     coordinates_by_name = dict(zip(priors, mode.v.tolist(), strict=True))

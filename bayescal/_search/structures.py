@@ -238,7 +238,7 @@ class Structures:
         return self.noise_laws.get(structure.noise, self.base.noise)
 
     def excluded_candidates(self, structure: Structure) -> set[str]:
-        """Return candidates that may not be added: other forms, second bodies, time curves with correlated noise."""
+        """Return candidates not to add: other forms, second column corrections, time curves with correlated noise."""
         candidates, excluded = self.candidates.items(), set[str]()
         if not self.noise_law(structure).independent:
             excluded = {n for n, e in candidates if e.kind == "curve" and e.covariate == "time"}

@@ -2,8 +2,8 @@
 
 The model, linearised at the means of its priors, gives the combinations of coefficients that change no planned reading
 by more than its noise. For instruments of three axes a greedy algorithm then adds poses in 26 directions (along the
-axes, at 45° between two, along the diagonals) at the ends of the temperature range: each time the pose with the most
-information on these combinations, or a simpler one with nearly as much.
+axes, at 45° between two, along the diagonals) at the ends of the temperature range: each time the pose that most
+reduces the log volume of these combinations, or the simplest with more than half of this reduction.
 """
 
 from __future__ import annotations

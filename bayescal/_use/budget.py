@@ -311,10 +311,10 @@ def _split_by_source(
             variances[label, kind] = gradient[i] ** 2 * covariance[i, i]
         else:
             sensitivities[unknown.name] = float(gradient[i])
-    readings, priors = variance_by_origin(calibration, sensitivities)
-    if readings or priors:
-        variances[READINGS_LABEL, "A"] = readings
-        for name, value in priors.items():
+    from_readings, by_prior = variance_by_origin(calibration, sensitivities)
+    if from_readings or by_prior:
+        variances[READINGS_LABEL, "A"] = from_readings
+        for name, value in by_prior.items():
             label = f"prior of {name}"
             if (block := blocks.get(name)) and block.effect.is_reference_error:
                 label = f"prior of {block.effect.name}"

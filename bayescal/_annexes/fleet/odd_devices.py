@@ -53,8 +53,8 @@ def find_outlying_devices(
     t0 = t0.loc[[*reliable_fits]].dropna()
     p, t0_mean = compute_p_values(t0.to_numpy(), np.full(len(t0), T0_SD_DEGC**2), np.inf, alpha)
     for device, temperature in t0.loc[p < alpha].items():
-        means = f"{ws.number(temperature)} °C, other devices near {ws.number(t0_mean)} °C"
-        outliers[str(device)] = [f"measured near {means}: its values are not compared"]
+        text = f"{ws.number(temperature)} °C, other devices near {ws.number(t0_mean)} °C"
+        outliers[str(device)] = [f"measured near {text}: its values are not compared"]
     fits = [fit for device, fit in reliable_fits.items() if device not in outliers]
     residual_dof = np.array([max(1.0, fit.reading_count - len(names) + 1) for fit in fits])
     for name in names:

@@ -436,7 +436,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
         return cmd.write_corrections([compensator for _, compensator in corrections])
     if cmd.format_ == "ardupilot-params":
         cmd.refuse_unused("device_id")
-    compensators = _sort_by_axis(corrections, cmd)
+    compensators = _map_by_axis(corrections, cmd)
     devices = dict[str, int]()
     for name, value in ws.parse_pairs(cmd.device_id, "--device-id").items():
         if not value.isdecimal():
@@ -448,7 +448,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     return ws.Answer(text.removesuffix("\n"), why=ws.describe_reliability(compensators))
 
 
-def _sort_by_axis(
+def _map_by_axis(
     loaded: Sequence[tuple[Path, bc.Compensator]], cmd: ws.ExportCommand
 ) -> dict[str, bc.Compensator]:
     """Return axis → compensator; raise InputError if readings and --axis name no axis, or one axis is given twice."""

@@ -51,7 +51,7 @@ def convert_to_scalar_readings(
         units = {**units, ws.MAGNITUDE_READ: units["output"]}
         flags.append(
             f"{file}: the magnitude {meanings[ws.MAGNITUDE]} is missing (--local-field, or column {ws.MAGNITUDE!r}): "
-            f"the outputs' mean, {radius:.4g} {units['output']}, is used; only ratios of scale factors are identified"
+            f"their mean radius, {radius:.4g} {units['output']}, is used; only ratios of scale factors are identified"
         )
     problem = f"columns {', '.join(instrument.outputs)}: all three are zero: remove the row"
     lengths = _require_lengths(outputs, problem, file)

@@ -168,7 +168,7 @@ def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
 
 
 def estimate_noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
-    """Simulate n readings with noise coefficients `true` (N, K, B in °/s, s; `angle`: quantum, °); estimate them."""
+    """Simulate n readings with noise coefficients `true` (N, K, B; `angle`: quantum, °); return the estimates."""
     rng, sizes = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
     rate = sizes["N"] / step**0.5 * rng.standard_normal(n)
     rate += sizes["K"] * step**0.5 * np.cumsum(rng.standard_normal(n))

@@ -92,7 +92,7 @@ class State:
 
 
 def list_path(states: Mapping[int, Any], number: int) -> list[int]:
-    """Return the numbers of the states from the first one to state `number`."""
+    """Return the numbers of the states on the branch from the first one to state `number`."""
     path = [number]
     while (parent := states[path[0]].parent) is not None:
         path.insert(0, parent)
