@@ -255,8 +255,8 @@ class Fitted:
     @property
     def usual_columns(self) -> set[str]:
         """Return the columns of effects with inclusion probability above 0.5, and those of group labels."""
-        effects = (e for e in self.model.effects if self.inclusion_masks[e.name].mean() > 0.5)
-        return set().union(GROUPS, *(e.columns for e in effects))
+        probable_names = {name for name, p in self.inclusion.items() if p > 0.5}
+        return set().union(GROUPS, *(self.model.effect(n).columns for n in probable_names))
 
     def with_columns(self, columns: Iterable[str]) -> Self:
         """Return the posterior conditional on structures that need no other columns; itself if too few draws remain."""

@@ -1,8 +1,7 @@
 """The core commands.
 
-Instruments: instruments, effects, simulate, pairs (of devices), demo. Calibration: calibrate (the full search, for one
-output or several channels of a device), fit, check, discover, compare, predict, noise. Use of results: compensate,
-export, budget, report.
+Instruments: instruments, effects, simulate, pairs (of devices), demo. Calibration: calibrate (the full search), fit,
+check, discover, compare, predict, noise. Use of results: compensate, export, budget, report.
 
 Imports are local to the functions that need them, so that a bad file is refused before a sampler loads.
 """

@@ -17,6 +17,7 @@ from bayescal._core.result_table import make_table
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import result
@@ -102,7 +103,7 @@ def convert_fit(calibration: Calibration) -> dict[str, Any]:
 def format_first_model(path: SearchPath, verbose: bool = False) -> str:
     """Format the output of `calibrate` after the fit of the first model."""
     parts = format_check(path.steps[0].check, None if verbose else MAX_CHECKS)
-    method = ", fitted by least squares" * (path.steps[0].calibration.method == "least-squares")
+    method = ", fitted by least squares" * (path.steps[0].calibration.method == LeastSquares.name)
     return _section(f"RESIDUALS OF THE FIRST MODEL{method}", *parts)
 
 

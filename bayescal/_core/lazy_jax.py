@@ -10,8 +10,6 @@ Environment variables:
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import os
 import shutil
 import sys
@@ -149,8 +147,7 @@ else:
 def free_memory_maps() -> None:
     """Clear JAX's compiled programs before the process exceeds the kernel's limit of memory maps (Linux only).
 
-    A program uses about ten maps, so that a loop over many models may exceed the default limit, 65,530; Linux then
-    aborts the process. Programs that are needed again are loaded from the cache on disk.
+    A program uses about ten of the default 65,530 maps, beyond which Linux aborts the process; it is cached on disk.
     """
     try:
         count = Path("/proc/self/maps").read_bytes().count(b"\n")
@@ -158,13 +155,6 @@ def free_memory_maps() -> None:
         return
     if count > MAX_MEMORY_MAPS:
         jax.clear_caches()
-
-
-def release_memory() -> None:
-    """Collect reference cycles and return freed memory to the system (glibc): up to a GB after a channel's search."""
-    gc.collect()
-    if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
-        libc.malloc_trim(0)
 
 
 # Configuration file that a library reads from the current folder at import → this library.

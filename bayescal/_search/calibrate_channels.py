@@ -13,7 +13,7 @@ from scipy.special import expit
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, format_value, number, probability
-from bayescal._core.lazy_jax import release_memory
+from bayescal._core.parallel import release_memory
 from bayescal._core.progress import track
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, make_table

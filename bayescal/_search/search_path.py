@@ -22,6 +22,7 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.least_squares import LeastSquares
 from bayescal._search.discover import P_COMPLETE, Discovery
 from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
@@ -173,15 +174,15 @@ class SearchPath(Printed):
         if not lines and added_count >= allowed > 0:
             lines.append(f"The search added its maximum of {allowed} effects (--max-effects).")
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
-        tested_effects = {c.effect: c.probability for c in discovery.candidates if c.probability}
-        name = max(tested_effects, key=tested_effects.__getitem__, default="")
+        tested = {c.effect: p for c in discovery.candidates if (p := c.probability) is not None}
+        name = max(tested, key=tested.__getitem__, default="")
         level = settings().found_probability
         if not name:
             lines += [] if lines else ["These readings can test no further candidate."]
-        elif tested_effects[name] >= level:
-            lines.append(f"Still missing: {name}, probability {probability(tested_effects[name])}.")
+        elif tested[name] >= level:
+            lines.append(f"Still missing: {name}, probability {probability(tested[name])}.")
         else:
-            best_text = f"{name}, {probability(tested_effects[name])}"
+            best_text = f"{name}, {probability(tested[name])}"
             lines.append(f"No further effect reaches probability {level:g} (highest: {best_text}).")
         return " ".join(lines)
 
@@ -204,7 +205,8 @@ class SearchPath(Printed):
         if rows[-1]["rmse_fitted"] < rows[-1]["noise_floor"]:
             directions = self.final.calibration.linear.directions  # of each effective unknown
             lines.append(FLOOR_NOTE.format(round((directions**2).sum()), len(directions)))
-        lines += [LAPLACE_NOTE] * any("least" in s.calibration.method for s in self.steps[:-1])
+        methods = {s.calibration.method for s in self.steps[:-1]}
+        lines += [LAPLACE_NOTE] * (LeastSquares.name in methods)
         shares = [(s.effects, s.probability) for s in self.shares]
         heads, texts = list_headings(self.complete), dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):

@@ -378,7 +378,7 @@ class Structures:
         """Drop cached columns, Jacobians, linear models and structures over block means; recomputed on demand."""
         for fit in (*self.visited.values(), *self.previous_round.values()):
             fit.problem.clear_cache()
-        for name in ("on_means", "linearise", "fit_law"):
+        for name in ("on_means", "linearise", "fit_law", "substantial_unnamed"):
             vars(self).pop(name, None)
         self.record.clear_cache()
 

@@ -100,14 +100,12 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
         while True:
             count = len(structures.visited)
             if current := _select_next(structures, expanded_by_scope[scope], scope):
-                structure, find_families = current.structure, structures.families
-                key = find_families(structure.effects), structure.noise
-                is_expanded = key in (
-                    (find_families(s.effects), s.noise) for s in expanded_by_scope[scope]
-                )
-                expanded_by_scope[scope].add(structure)
+                previous = [*expanded_by_scope[scope]] if structures.near_best_only else []
+                expanded_by_scope[scope].add(structure := current.structure)
+                families = structures.families(structure.effects)
+                same_law = (s.effects for s in previous if s.noise == structure.noise)
                 # A fleet's search expands the effects in one form: `_try_forms` scores the others by their change.
-                if not (structures.near_best_only and is_expanded):
+                if families not in map(structures.families, same_law):
                     yield from _evaluate_neighbours(library, current, scope, make_scorer)
                 continue
             if scope is named_scope:

@@ -154,9 +154,9 @@ def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
     fits = list[DeviceResult]()
     for name, device_rows in groupby(rows.to_pylist(), lambda row: row["device"]):
         first_row, *_ = group_rows = [*device_rows]
-        format_rows = [row for row in group_rows if row["coefficient"] is not None]
+        unknown_rows = [row for row in group_rows if row["coefficient"] is not None]
         keys = ("coefficient", "unit", "mean", "covariance")
-        names, units, mean, covariance = ([row[key] for row in format_rows] for key in keys)
+        names, units, mean, covariance = ([row[key] for row in unknown_rows] for key in keys)
         moments = np.array(mean), np.reshape(covariance, (len(mean), len(mean)))
         fields = (*names,), (*units,), *moments, first_row["readings"], first_row["T0"]
         fits.append(DeviceResult(name, first_row["reason"], *fields))

@@ -1,8 +1,7 @@
 """Readers of ArduPilot's and PX4's logs of inertial sensors, each of which has channels and its own sampling times.
 
-ArduPilot's .bin (DataFlash), by pymavlink's DFReader: the messages IMU, with the temperature T. Fields and units:
-ardupilot, libraries/AP_InertialSensor/LogStructure.h (TimeUS in µs since start, I the instance, GyrX…Z in rad/s,
-AccX…Z in m/s², T in °C).
+ArduPilot's .bin (DataFlash), by pymavlink's DFReader: messages IMU; fields and units (libraries/
+AP_InertialSensor/LogStructure.h): TimeUS in µs since start, I the instance, GyrX…Z in rad/s, AccX…Z in m/s², T in °C.
 
 PX4's ULog, by pyulog: sensor_gyro, sensor_accel and sensor_mag, uncorrected, in every instance. Fields and units:
 PX4-Autopilot, msg/SensorGyro.msg, SensorAccel.msg and SensorMag.msg (timestamp in µs since start; x, y, z in rad/s,

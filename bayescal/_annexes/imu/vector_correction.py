@@ -314,11 +314,12 @@ class TermRow(NamedTuple):
     value: float
     uncertainty: float
     unit: str
+    order: int  # in the inputs; 1 for terms in other columns
 
 
 def tabulate_terms(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction, without those of higher order that are within half their u of zero."""
-    rows = [r for r in rows if " order of " not in r.name or abs(r.value) > 0.5 * r.uncertainty]
+    rows = [r for r in rows if r.order < 2 or abs(r.value) > 0.5 * r.uncertainty]
     columns = (
         ws.TableColumn("outputs = offset + matrix · inputs + higher orders", lambda r: r.name),
         ws.TableColumn("value ± standard uncertainty", lambda r: ws.format_value(*r[1:3])),
@@ -336,20 +337,20 @@ def list_terms(
 ) -> list[TermRow]:
     """Return a row for each non-zero term; `terms` and their `uncertainty` are (k, p), as in `VectorCorrection`."""
     axes, terms, base = "xyz", np.asarray(terms, float), f"({unit})" if "/" in unit else unit
-    names = [(f"offset {a}", unit) for a in axes]
-    names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
+    names = [(f"offset {a}", unit, 0) for a in axes]
+    names += [(f"matrix {a}{b}", "1", 1) for a in axes for b in axes]
     size = terms.shape[1] - 9 * bool(secondary_columns)
     if size > 12:
         pairs = [f"{axes[i]}·{axes[j]}" for i, j in PAIRS]
-        names += [(f"second order of {a}: {p}", f"1/{base}") for a in axes for p in pairs]
+        names += [(f"second order of {a}: {p}", f"1/{base}", 2) for a in axes for p in pairs]
     if size > 30:
-        names += [(f"third order of {a}: {a}³", f"1/{base}^2") for a in axes]
-    names += [(f"{g} on {a}", unit) for a in axes for g in secondary_columns]
+        names += [(f"third order of {a}: {a}³", f"1/{base}^2", 3) for a in axes]
+    names += [(f"{g} on {a}", unit, 1) for a in axes for g in secondary_columns]
     rows = zip(POWERS.items(), terms, np.asarray(uncertainty, float), strict=False)
     return [
-        TermRow(name + power, float(value), float(sd), term_unit + per_power)
+        TermRow(name + power, float(value), float(sd), term_unit + per_power, order)
         for (power, per_power), values, sds in rows
-        for (name, term_unit), value, sd in zip(names, values, sds, strict=True)
+        for (name, term_unit, order), value, sd in zip(names, values, sds, strict=True)
         if value or sd
     ]
 

@@ -32,7 +32,7 @@ def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty
 
 def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as one Python module."""
-    keys = {} if with_uncertainty else {"covariance"}  # omitted
+    keys = () if with_uncertainty else ("covariance",)  # omitted
     entries = {name: c.to_json_data().items() for name, c in corrections.items()}
     data = {name: repr({k: v for k, v in e if k not in keys}) for name, e in entries.items()}
     return ws.load_template(
